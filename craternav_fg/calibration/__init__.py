@@ -28,23 +28,23 @@ candidates           candidates.TEMPLATE_SIZE_FACTOR               1.07    1.036
 ..                   detect.SUN_VOTE_CHANCE_SHARE                  0.22    at least 0.197 ± 0.001
 reference_brightness GuidedOptions.brightness_sigma_share          0.02    at least 0.011 ± 0.001
 ..                   blind_fit.BRIGHTNESS_SIGMA                    0.05    0.061 ± 0.008, confirmed
-rim_floor            GuidedOptions.level_scatter_share             0.08    0.093 ± 0.014, confirmed
-..                   level_rim_share                               0.2     0.223 ± 0.051, confirmed
-correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.66 ± 0.05, confirmed
-..                   brightness_share                              0.6     0.72 ± 0.10, confirmed
-..                   camera_shift_px, px                           0.06    0.069 ± 0.025, not contradicted
-..                   sun_shift_px, px                              0.02    0.027 ± 0.013, not contradicted
-..                   stretch_px, px                                0.025   0.022 ± 0.015, not contradicted
-..                   stretch_share, radii                          0.0015  0.0013 ± 0.0004, confirmed
-..                   size_px, px                                   0.06    0.057 ± 0.018, confirmed
-..                   size_share, radii                             0.003   0.0038 ± 0.0013, not contradicted
-..                   RimErrorOptions.decay_shape_change            0.8     0.84 ± 0.24, confirmed
-outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.41 ± 0.06, confirmed
-arcs                 CorrelatedErrorOptions.arc_px, px             0.2     0.04 ± 0.07, not contradicted
-..                   arc_share, radii                              0.004   0.0072 ± 0.0018, not contradicted
-pooling              pooling.MEMORY                                1.0     2.1 ± 1.1, not contradicted
+rim_floor            GuidedOptions.level_scatter_share             0.09    0.124 ± 0.010, kept
+..                   level_rim_share                               0.12    0.142 ± 0.028, confirmed
+correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.65 ± 0.07, confirmed
+..                   brightness_share                              0.6     0.45 ± 0.18, not contradicted
+..                   camera_shift_px, px                           0.02    0.006 ± 0.006, not contradicted
+..                   sun_shift_px, px                              0.03    0.050 ± 0.013, not contradicted
+..                   stretch_px, px                                0.04    0.064 ± 0.013, confirmed
+..                   stretch_share, radii                          0.0001  0.00007 ± 0.00002, confirmed
+..                   size_px, px                                   0.04    0.038 ± 0.004, confirmed
+..                   size_share, radii                             0.003   0.0005 ± 0.0002, kept
+..                   RimErrorOptions.decay_shape_change            0.8     1.2 ± 0.4, not contradicted
+outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.53 ± 0.07, confirmed
+arcs                 CorrelatedErrorOptions.arc_px, px             0.1     0.03 ± 0.05, not contradicted
+..                   arc_share, radii                              0.006   0.0080 ± 0.0015, confirmed
+pooling              pooling.MEMORY                                1.0     1.9 ± 0.5, not contradicted
 ..                   pooling.PRIOR_FRAMES                          2       0.04 ± 0.02, kept
-variance_inflation   correlated_errors.VARIANCE_INFLATION          4.4     4.9 ± 0.6, confirmed
+variance_inflation   correlated_errors.VARIANCE_INFLATION          3.6     3.5 ± 0.3, confirmed
 sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    0.02 ± 0.36, not contradicted
 ..                   crater_floor_oblique_rad, squared, deg2       56      152 ± 63, not contradicted
 ..                   floor_rad, squared, deg2                      4       5.7 ± 1.1, confirmed
@@ -85,7 +85,8 @@ Not fitted but chosen, each with its reason where it stands:
   priors of `edge_kernel`, `ground_level` and `wall_shading`, floors of blind and coarse fits.
 - The canonical crater (`vision.crater_profile`): Pike (1977); its rounding is estimated with each rim. It is
   extrapolated from two smoothings as if crests were narrow against the blur. Of wider ones, sizes come out
-  0.02 to 0.07 px too small; of the rendered descents to the Moon, by 0.16 % (2,878 rims).
+  0.02 to 0.07 px too small.
+- What is usual of the photometric law (`vision.reflectance`), before the rims of an image show it.
 - `intrinsics_error._ACROSS`, from the deviations of two scenarios with a wrong focal length.
 - Matching, acquisition and identification (`matching`): priors on noise, missing and false craters, gates and
   limits of chance. They are as wide as images and catalogues of all kinds are, not as one set of data.

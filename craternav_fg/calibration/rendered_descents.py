@@ -1,8 +1,8 @@
 """Errors of rims that are measured in rendered descents.
 
-Outlines are ellipses on the Moon, irregular on Bennu. The scenarios are those that are shipped, with fewer
-frames and the sun anywhere; their trials are others than those of any test or figure. Rims are measured
-from predictions that are a little wrong.
+Outlines are ellipses on the Moon, irregular on Dione and Bennu, whose ground has another reflectance. The
+scenarios are those that are shipped, with fewer frames and the sun anywhere; their trials are others than
+those of any test or figure. Rims are measured from predictions that are a little wrong.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from craternav_fg.vision.guided_options import GuidedOptions
 from factors.arrays import FloatArray, IntArray
 from factors.kernels.conic import project_rims
 
-_SCENARIOS = ("lunar_descent", "bennu_descent")
+_SCENARIOS = ("lunar_descent", "dione_descent", "bennu_descent")
 # Per scenario: descents, frames of each, first trial (tests use others), and range of the sun's elevation.
 _DESCENTS = 8
 _FRAMES = 11

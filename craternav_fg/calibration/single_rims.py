@@ -11,6 +11,7 @@ from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, c
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.predicted_rims import predict_rims
 from craternav_fg.vision.reference_brightness import ReferenceBrightness
+from craternav_fg.vision.reflectance import photometric_law
 from craternav_fg.vision.rim_fitting import FittedRims, RimFitter
 from factors.arrays import FloatArray
 from factors.kernels.conic import project_rims
@@ -68,6 +69,8 @@ def fitted_alone(
     rows, _ = catalog.visible(
         camera, predicted, min_semi_minor_px=options.min_semi_minor_px, margin_px=options.margin_px
     )
+    rims = predict_rims(rows, camera, catalog, predicted, sun_g, brightness)
+    brightness = brightness.under(photometric_law(pixels, camera, rims, options.edges))
     rims = predict_rims(rows, camera, catalog, predicted, sun_g, brightness)
     minor_px = np.array([rims.smallest_radius_px(i) for i in range(len(rims))])
     reach_px = options.second_reach_px + options.second_reach_share * minor_px

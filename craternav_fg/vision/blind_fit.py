@@ -11,7 +11,6 @@ from functools import cached_property
 import numpy as np
 
 from craternav_fg.camera import Camera
-from craternav_fg.vision import crater_profile
 from craternav_fg.vision.blind_kernel import Tracing, traced_rim
 from craternav_fg.vision.edges import EdgeOptions
 from craternav_fg.vision.ellipse_fit import BrightnessUnknown, FitFailure, FitOptions, RimFit, refine_rim
@@ -116,7 +115,6 @@ class BlindFitter:
         return Tracing(
             self.contrast, edges.noise_step(self.noise), self.psf_px, edges.smoothing_share,
             edges.smoothing_px, edges.min_slope_contrast, edges.min_step_share,
-            crater_profile.crossing_table(), crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS,
-            self._camera.lens, fit.min_points, fit.min_arc_share, fit.max_gap_rad, fit.max_sigma_share,
-            fit.min_scatter_px, BRIGHTNESS_SIGMA,
+            edges.crest_tables(self.psf_px), self._camera.lens, fit.min_points, fit.min_arc_share,
+            fit.max_gap_rad, fit.max_sigma_share, fit.min_scatter_px, BRIGHTNESS_SIGMA,
         )  # fmt: skip

@@ -9,10 +9,12 @@ import numpy as np
 
 from craternav_fg.ellipse import moments_kernel, points_on, semi_axes_kernel, whiten_kernel
 from craternav_fg.vision import ellipse_kernel
+from craternav_fg.vision.crest_tables import CrestTables
 from craternav_fg.vision.dense_kernel import ordered
 from craternav_fg.vision.edge_kernel import normal_count, trace_rim
 from craternav_fg.vision.ground_level import LEVEL_TERMS
 from craternav_fg.vision.reference_brightness import MIN_REFERENCE_BRIGHTNESS
+from craternav_fg.vision.rim_shading import RimShading
 from factors.arrays import FloatArray, ImageArray
 from factors.kernels.compiled import njit
 
@@ -42,12 +44,7 @@ class Tracing(NamedTuple):
         Standard deviation of the point-spread function.
     smoothing_share, smoothing_px, min_slope_contrast, min_step : float
         See `edges.EdgeOptions`.
-    crossing_offset : ndarray, shape (m, k)
-        This and the next two: see `edge_kernel.trace_rim`.
-    table_blur : ndarray, shape (m,)
-        Blur in radii.
-    table_contrast : ndarray, shape (k,)
-        Slope contrast, dimensionless.
+    tables : CrestTables
     lens : ndarray, shape (14,)
         Of a camera whose pixels are its coordinates.
     min_points : int
@@ -64,9 +61,7 @@ class Tracing(NamedTuple):
     smoothing_px: float
     min_slope_contrast: float
     min_step: float
-    crossing_offset: FloatArray
-    table_blur: FloatArray
-    table_contrast: FloatArray
+    tables: CrestTables
     lens: FloatArray
     min_points: int
     min_arc_share: float
@@ -142,6 +137,7 @@ def traced_rim(
     points, ratio, motion = np.empty((0, 2)), np.empty(0), np.empty((0, 2))
     tried, kept, rms, arc, minor = 0, 0, 0.0, 0.0, 0.0
     no_sun, even = np.zeros(2), np.zeros(2)
+    cosines = np.array([1.0 / np.hypot(1.0, given.contrast), 1.0])
     lambertian = np.empty((2, 2))
     for turn in range(len(_NORMAL_REACHES)):
         size = np.exp(0.5 * (chart[2] + chart[4]))
@@ -157,11 +153,13 @@ def traced_rim(
         sxx, sxy, syy = moments_kernel(chart[2], chart[3], chart[4])
         lambertian[0, 0], lambertian[1, 1] = -0.5 * sxx, -0.5 * syy
         lambertian[0, 1] = lambertian[1, 0] = -0.5 * sxy
+        # As from above, and by Lambert's law: the slope contrast is the tangent of the angle of incidence.
+        contrast = given.contrast / np.hypot(u, v) * sun
+        shading = RimShading(reference, even, contrast, lambertian, cosines[0] * contrast, even, cosines, 0.0)
         points, ratio, motion, tried, _, _, _ = trace_rim(
-            image, chart, reference, even, given.contrast / np.hypot(u, v) * sun, lambertian, reach_px,
-            given.smoothing_share, given.smoothing_px, given.psf_px, given.min_slope_contrast,
-            given.min_step, given.noise_step / reference, normals, given.crossing_offset, given.table_blur,
-            given.table_contrast, given.lens, np.zeros(LEVEL_TERMS), False,
+            image, chart, shading, reach_px, given.smoothing_share, given.smoothing_px, given.psf_px,
+            given.min_slope_contrast, given.min_step, given.noise_step / reference, normals, given.tables,
+            given.lens, np.zeros(LEVEL_TERMS), False,
         )  # fmt: skip
         found = len(points)
         if tried < _MIN_TRIED_SHARE * normals or found < max(_MIN_FOUND_SHARE * tried, given.min_points):

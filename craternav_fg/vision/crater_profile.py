@@ -1,4 +1,4 @@
-"""Canonical crater: its cross-section, and where its blurred rim is as bright as flat terrain.
+"""Canonical crater: its cross-section, and what an image shows of it.
 
 Cross-section over the radius rho (rim crest at 1), heights in radii: a parabolic bowl, an apron that falls
 with rho^-3, and their soft minimum, which rounds the rim crest:
@@ -9,6 +9,9 @@ with rho^-3, and their soft minimum, which rounds the rim crest:
 Brightness relative to flat terrain: (1 + contrast slope) / sqrt(1 + slope^2), not below 0, as for a
 Lambertian surface in the plane of the cross-section, where the slope rises outward and the contrast is that
 across the rim.
+
+In an image that is taken obliquely, ground appears displaced by its height: outward by the lift times the
+height over the rim crest. Ground that other ground hides is not seen.
 """
 
 from functools import cache
@@ -23,12 +26,12 @@ BOWL_DEPTH_RADII = 0.32
 RIM_HEIGHT_RADII = 0.08
 CREST_ROUNDING_RADII = 0.04
 
-# Grid of the table of crossings: standard deviation of the blur, in radii, and slope contrast across the rim.
-BLUR_RADII = np.linspace(0.0, 0.24, 13)
-SLOPE_CONTRASTS = np.linspace(-4.0, 4.0, 17)
-# Samples of the cross-section that is blurred, in radii, and the contrast that stands for the limit at zero.
-_STEP_RADII, _FIRST_RADIUS, _LAST_RADIUS = 0.002, 0.3, 1.9
-_VANISHING_CONTRAST = 1e-3
+# Samples of the cross-section, from beyond the centre, and of its image, in radii.
+STEP_RADII = 0.002
+_SECTION_RADII = np.arange(-1.0, 2.0, STEP_RADII)
+IMAGE_RADII = np.arange(0.1, 1.9, STEP_RADII)
+# Nearer to the centre the bowl counts as level.
+_LEAST_RADIUS = 1e-3
 
 
 def slopes(rho: FloatArray) -> FloatArray:
@@ -49,29 +52,114 @@ def slopes(rho: FloatArray) -> FloatArray:
 
 
 @cache
-def crossing_table() -> FloatArray:
-    """Compute where the blurred rim is as bright as flat terrain.
+def seen_ground(lift: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Compute which ground of the canonical cross-section is seen along its image.
+
+    Parameters
+    ----------
+    lift : float
+        Outward displacement, in radii, of ground that is a radius higher than the rim crest. Below 0 the
+        camera looks over the rim crest from outside.
 
     Returns
     -------
-    ndarray, shape (13, 17)
-        Outward displacement from the rim crest, in radii, on the grid of `BLUR_RADII` and `SLOPE_CONTRASTS`.
+    distance, height, slope : ndarray, shape (n,)
+        At `IMAGE_RADII`, where 1 is the image of the rim crest: distance from the centre and height over the
+        rim crest, in radii, and rise over run outward.
     """
-    rho = np.arange(_FIRST_RADIUS, _LAST_RADIUS, _STEP_RADII)
-    slope = slopes(rho)
-    table = np.zeros((len(BLUR_RADII), len(SLOPE_CONTRASTS)))
-    for j, grid_contrast in enumerate(SLOPE_CONTRASTS):
-        # The sign of a vanishing contrast does not matter, its limit does.
-        contrast = grid_contrast if grid_contrast != 0.0 else _VANISHING_CONTRAST
-        excess = np.maximum(1.0 + contrast * slope, 0.0) / np.sqrt(1.0 + slope**2) - 1.0
-        for i, blur in enumerate(BLUR_RADII):
-            profile = np.sign(contrast) * _blurred(excess, blur / _STEP_RADII)
-            table[i, j] = _crossing(rho, profile) - 1.0
-    # At zero contrast the square of the slope is all there is: take the mean of the neighbours.
-    middle = len(SLOPE_CONTRASTS) // 2
-    table[:, middle] = 0.5 * (table[:, middle - 1] + table[:, middle + 1])
-    table.flags.writeable = False
-    return table
+    rho = _SECTION_RADII
+    slope = np.sign(rho) * slopes(np.maximum(np.abs(rho), _LEAST_RADIUS))
+    height = np.cumsum(slope) * STEP_RADII
+    height -= np.interp(1.0, rho, height)
+    image = rho + lift * height
+    if lift < 0.0:
+        seen = image <= np.minimum.accumulate(image[::-1])[::-1]
+    else:
+        seen = image >= np.maximum.accumulate(image)
+    distance, height, slope = (
+        np.interp(IMAGE_RADII, image[seen], of_ground[seen]) for of_ground in (rho, height, slope)
+    )
+    return distance, height, slope
+
+
+def excess_brightness(slope: FloatArray, contrast: float) -> FloatArray:
+    """Compute the brightness of sloping ground relative to that of flat terrain, less 1.
+
+    Parameters
+    ----------
+    slope : ndarray, shape (n,)
+        Rise over run outward.
+    contrast : float
+        Slope contrast across the rim.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    return np.asarray(np.maximum(1.0 + contrast * slope, 0.0) / np.sqrt(1.0 + slope**2) - 1.0)
+
+
+def blurred(profile: FloatArray, blurs: FloatArray) -> FloatArray:
+    """Blur a profile of the image by Gaussians.
+
+    Parameters
+    ----------
+    profile : ndarray, shape (n,)
+        Dimensionless, at `IMAGE_RADII`.
+    blurs : ndarray, shape (m,)
+        Standard deviations, in radii.
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+    """
+    reach = len(profile) // 2
+    padded = np.pad(profile, reach, mode="edge")
+    frequency = 2.0 * np.pi * np.fft.rfftfreq(len(padded), STEP_RADII)
+    transfer = np.exp(-0.5 * (blurs[:, None] * frequency) ** 2)
+    out = np.fft.irfft(transfer * np.fft.rfft(padded), len(padded), axis=-1)
+    return np.asarray(out[:, reach : reach + len(profile)])
+
+
+def crossing(profile: FloatArray, near: float) -> float:
+    """Find where a profile of the image falls through zero.
+
+    Parameters
+    ----------
+    profile : ndarray, shape (n,)
+        Dimensionless, at `IMAGE_RADII`.
+    near : float
+        Distance from the centre, in radii.
+
+    Returns
+    -------
+    float
+        The place nearest to it, in radii; itself if there is none.
+    """
+    falls = np.flatnonzero((profile[:-1] > 0.0) & (profile[1:] <= 0.0))
+    if len(falls) == 0:
+        return near
+    i = falls[np.argmin(np.abs(IMAGE_RADII[falls] - near))]
+    return float(IMAGE_RADII[i] + profile[i] / (profile[i] - profile[i + 1]) * STEP_RADII)
+
+
+def mean_between(profile: FloatArray, first: float, last: float) -> float:
+    """Compute the mean of a profile of the image between two places.
+
+    Parameters
+    ----------
+    profile : ndarray, shape (n,)
+        Dimensionless, at `IMAGE_RADII`.
+    first, last : float
+        Distances from the centre, in radii; as far as the image goes.
+
+    Returns
+    -------
+    float
+    """
+    ends = np.clip([first, last], IMAGE_RADII[0], IMAGE_RADII[-1])
+    low, high = np.interp(ends, IMAGE_RADII, np.cumsum(profile) - 0.5 * profile)
+    return float((high - low) * STEP_RADII / (ends[1] - ends[0]))
 
 
 def _raw_slope(rho: FloatArray) -> FloatArray:
@@ -83,6 +171,7 @@ def _raw_slope(rho: FloatArray) -> FloatArray:
     return np.asarray(share * 2.0 * rim * rho - (1.0 - share) * 3.0 * RIM_HEIGHT_RADII * rho**-4.0)
 
 
+@cache
 def _crest_radius() -> float:
     """Find the radius at which the slope of the rounded cross-section is zero, by bisection."""
     low, high = 0.8, 1.2
@@ -93,22 +182,3 @@ def _crest_radius() -> float:
         else:
             high = mid
     return 0.5 * (low + high)
-
-
-def _blurred(values: FloatArray, sigma: float) -> FloatArray:
-    """Profile (n,) after Gaussian blur; `sigma` is in samples."""
-    if sigma < 0.5:
-        return values
-    reach = int(np.ceil(4.0 * sigma))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    padded = np.pad(values, reach, mode="edge")
-    return np.asarray(np.convolve(padded, kernel / kernel.sum(), mode="valid"))
-
-
-def _crossing(rho: FloatArray, values: FloatArray) -> float:
-    """Radius of the fall through zero that is nearest the rim crest; 1 if there is none."""
-    down = np.flatnonzero((values[:-1] > 0.0) & (values[1:] <= 0.0))
-    if len(down) == 0:
-        return 1.0
-    i = down[np.argmin(np.abs(rho[down] - 1.0))]
-    return float(rho[i] + values[i] / (values[i] - values[i + 1]) * (rho[i + 1] - rho[i]))

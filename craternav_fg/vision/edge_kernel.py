@@ -2,18 +2,34 @@
 
 import numpy as np
 
-from craternav_fg.vision.ground_level import evidence_of_level, level_at, levels_of_flanks
+from craternav_fg.vision.crest_tables import CrestTables, crossing_parts, expected_fall, flank_terms
+from craternav_fg.vision.ground_level import (
+    evidence_of_level,
+    level_at,
+    levels_of_flanks,
+    steepness_of_flanks,
+)
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS
 from craternav_fg.vision.normal_profile import (
+    MAX_SIDE_SAMPLES,
     crossing_near,
+    flank_samples,
     half_gaussian,
     mean_between,
     moved_crossing,
     sample_normal,
+    sample_step,
     smooth_between,
+    smoothing_px_at,
 )
 from craternav_fg.vision.rim_geometry import back_through_lens, distorts, rim_point, through_lens
-from craternav_fg.vision.rim_shading import contrast_across, curvature_across, reference_along
+from craternav_fg.vision.rim_shading import (
+    RimShading,
+    contrast_across,
+    normal_view,
+    reference_along,
+    rim_light,
+)
 from factors.arrays import FloatArray, ImageArray
 from factors.kernels.compiled import njit
 
@@ -29,15 +45,10 @@ _SECOND_SMOOTHING_FACTOR = 2.2
 _FLAT_CONTRAST_SHARE = 0.35
 # Prior weight of the canonical crater's displacement against the observed one, px^2.
 _BLUNTNESS_PRIOR_PX2 = 0.1
-# The inner wall and the outer slope are judged over this length, px, at least, and this share of the radius.
-_MIN_SIDE_PX, _SIDE_SHARE = 2.0, 0.12
-# These lengths are never more samples than this, given how the distance of the samples grows.
-_MAX_SIDE_SAMPLES = 12
-# The flanks of the crest begin one standard deviation of the whole blur from the crossing; with that of the
-# pixels, px^2. They are as long as the sides above.
-_PIXEL_VARIANCE_PX2 = 0.1
-# Distance of the samples along a normal on small rims, px; it grows with the radius above 50 px.
-_SAMPLE_STEP_PX = 0.5
+# The same of the canonical crater's curvature of the crest, 1/radii, for a slope contrast of 1 all around;
+# and the range of the curvature over the canonical crater's.
+_SHARPNESS_PRIOR = 1.0
+_LEAST_SHARPNESS, _LARGEST_SHARPNESS = 0.2, 2.0
 # An edge is ambiguous if the second best one on its normal scores more than this share of the best.
 _MAX_SECOND_SCORE = 0.75
 # Share of the step from the outer slope to the inner wall at which an edge is searched without a reference,
@@ -101,10 +112,9 @@ def _edge_between_flanks(
 
 @njit(cache=True, error_model="numpy")
 def trace_rim(
-    image: ImageArray, chart_px: FloatArray, reference: float, gradient: FloatArray, contrast_px: FloatArray,
-    curvature_px: FloatArray, reach_px: float, smoothing_share: float, smoothing_px: float, psf_px: float,
-    min_slope_contrast: float, min_step: float, noise_step: float, count: int, crossing_offset: FloatArray,
-    table_blur: FloatArray, table_contrast: FloatArray, lens: FloatArray, ground: FloatArray, by_flanks: bool,
+    image: ImageArray, chart_px: FloatArray, shading: RimShading, reach_px: float, smoothing_share: float,
+    smoothing_px: float, psf_px: float, min_slope_contrast: float, min_step: float, noise_step: float,
+    count: int, tables: CrestTables, lens: FloatArray, ground: FloatArray, by_flanks: bool,
 ) -> tuple[FloatArray, FloatArray, FloatArray, int, float, FloatArray, FloatArray]:  # fmt: skip
     """Find the edge points of one rim.
 
@@ -114,8 +124,7 @@ def trace_rim(
         Brightness, 0 to 255.
     chart_px : ndarray, shape (5,)
         Predicted rim, chart in pixels of the camera without distortion, as all results.
-    reference, gradient, contrast_px, curvature_px : float, ndarray, shapes (2,), (2,), (2, 2)
-        See `RimShading`.
+    shading : RimShading
     reach_px : float
         Half length of the searched normals.
     smoothing_share, smoothing_px : float
@@ -132,11 +141,8 @@ def trace_rim(
         pixels on both sides scatter less.
     count : int
         Normals around the rim.
-    crossing_offset : ndarray, shape (m, k)
-        Outward displacement of the crossing in radii, see `crater_profile.crossing_table`.
-    table_blur, table_contrast : ndarray, shapes (m,), (k,)
-        The regular grid on which it is given: blur in radii, and slope contrast across the rim of Lambertian
-        ground. Other ground has the crossings of the contrast at which both orders have the same ratio.
+    tables : CrestTables
+        For the same smoothing and point-spread function.
     lens : ndarray, shape (14,)
         `Camera.lens`: intrinsics, px, and distortion.
     ground : ndarray, shape (5,)
@@ -157,7 +163,8 @@ def trace_rim(
     tried : int
         Normals with enough contrast that lie in the image.
     bluntness : float
-        Measured displacement of the crossing under more smoothing, relative to the canonical crater's.
+        Measured displacement of the crossing under more smoothing, relative to that of the canonical crater's
+        asymmetry.
     level : ndarray, shape (n,)
         Brightness of level ground at the points, relative to the level searched at, less 1; see
         `ground_level`. Times `motion` it takes the points to where the brightness crosses that level.
@@ -170,36 +177,38 @@ def trace_rim(
     normal = np.empty((count, 2))
     first = np.empty(count)
     contrasts = np.empty(count)
-    curvatures = np.empty(count)
-    more = np.empty(count)
+    shapes = np.empty((count, 5))
     angles = np.empty(count)
-    flanks = np.empty((count, 2))
-    near = np.empty((count, 2 * _MAX_SIDE_SAMPLES + 2))
+    flanks, slopes, bends = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
+    near = np.empty((count, 2 * MAX_SIDE_SAMPLES + 2))
     sides = np.empty(count, np.int64)
     offsets = np.empty(count)
     steps = np.empty(count)
     falls = np.empty(count)
     lost = np.zeros(count, np.bool_)
     found, tried, largest = 0, 0, 0.0
-    dot, square = _BLUNTNESS_PRIOR_PX2, _BLUNTNESS_PRIOR_PX2
+    sharp, canonical = _SHARPNESS_PRIOR, _SHARPNESS_PRIOR
     q = np.empty(6)
     bent = distorts(lens)
+    light = rim_light(chart_px, shading)
     shrinks = 1.0
     samples, soft = np.empty(0), np.empty(0)
     width, kernel, wide_kernel = -1.0, samples, samples
     for k in range(count):
-        rim_point(chart_px, 2.0 * np.pi * (k + 0.5) / count, q)
-        contrast = contrast_across(contrast_px, q)
+        angle = 2.0 * np.pi * (k + 0.5) / count
+        rim_point(chart_px, angle, q)
+        contrast = contrast_across(shading.contrast_px, q)
         if np.abs(contrast) < min_slope_contrast:
             continue
-        of_table = -0.5 * contrast / curvature_across(curvature_px, q)
-        local = reference * reference_along(gradient, chart_px, q)
+        view = normal_view(chart_px, light, shading.curvature_px, angle, q)
+        local = shading.reference * reference_along(shading.gradient, chart_px, q)
         if bent:
             shrinks = through_lens(q, lens)
         h = q[4]
-        smooth = max(smoothing_px, smoothing_share * h)
-        side = max(_MIN_SIDE_PX, _SIDE_SHARE * h)
-        step = _SAMPLE_STEP_PX * max(1.0, 0.02 * h)
+        step = sample_step(h)
+        smooth = smoothing_px_at(h, smoothing_px, smoothing_share)
+        gap, n_side = flank_samples(h, step, smooth, psf_px)
+        side = n_side * step
         half = int(np.ceil((reach_px + side + 4.0 * smooth) / step))
         if 2 * half + 1 > len(samples):
             samples, soft = np.empty(4 * half), np.empty(4 * half)
@@ -208,14 +217,13 @@ def trace_rim(
         sign = 1.0 if contrast > 0.0 else -1.0
         if not sample_normal(image, q, step, raw):
             continue
-        local *= 1.0 + level_at(ground, 2.0 * np.pi * (k + 0.5) / count)
+        local *= 1.0 + level_at(ground, angle)
         for i in range(2 * half + 1):
             raw[i] = sign * (raw[i] / local - 1.0)
             inside = inside and not np.isnan(raw[i])
         if not inside:
             continue
         tried += 1
-        n_side = int(side / step + 0.5)
         least = max(min_step * np.abs(contrast), noise_step / np.sqrt(side))
         n_reach = int(np.ceil(reach_px / step))
         best, second, where, fall = 0.0, 0.0, 0.0, 0.0
@@ -248,7 +256,6 @@ def trace_rim(
                     elif score > second:
                         second = score
             here = after
-        gap = int(np.sqrt(smooth * smooth + psf_px * psf_px + _PIXEL_VARIANCE_PX2) / step + 0.5)
         lost[found] = by_flanks and best == 0.0
         if lost[found]:
             best, second, where, fall = _edge_between_flanks(
@@ -263,32 +270,32 @@ def trace_rim(
         if brightest > SATURATED_BRIGHTNESS:
             continue
         blur = np.sqrt(smooth * smooth + psf_px * psf_px) / h
-        shift = h * _interpolate(crossing_offset, table_blur, table_contrast, blur, of_table)
+        odd, of_sharp, turned = crossing_parts(tables, view, blur)
+        shapes[found, 0], shapes[found, 1] = h * odd, h * of_sharp
+        if not lost[found]:
+            sharp += np.abs(contrast) * fall * h
+            canonical += contrast * contrast * expected_fall(tables, blur)
         wide = _SECOND_SMOOTHING_FACTOR * smooth
         again = crossing_near(raw, where, n_side + n_side // 2, wide_kernel)
-        if not np.isnan(again):
-            blur = np.sqrt(wide * wide + psf_px * psf_px) / h
-            expected = h * _interpolate(crossing_offset, table_blur, table_contrast, blur, of_table) - shift
-            moved = (again - where) * step
-            if np.abs(moved) < 4.0 * np.abs(expected) + 0.5:
-                dot += contrast * contrast * moved * expected
-                square += contrast * contrast * expected * expected
+        blur = np.sqrt(wide * wide + psf_px * psf_px) / h
+        wide_odd, wide_of_sharp, wide_turned = crossing_parts(tables, view, blur)
+        shapes[found, 2], shapes[found, 3] = h * (wide_odd - odd), h * (wide_of_sharp - of_sharp)
+        shapes[found, 4] = (again - where) * step - h * (wide_turned - turned)
         points[found, 0] = q[0]
         points[found, 1] = q[1]
         normal[found, 0] = q[2]
         normal[found, 1] = q[3]
-        first[found] = (where - half) * step + 0.5 * psf_px * psf_px * q[5]
-        more[found] = shift
+        first[found] = (where - half) * step + 0.5 * psf_px * psf_px * q[5] - h * turned
         ratio[found] = shrinks
         contrasts[found] = contrast
-        curvatures[found] = -0.5 * contrast / of_table
         largest = max(largest, np.abs(contrast))
         motion[found, 0] = -sign * q[2] / fall
         motion[found, 1] = -sign * q[3] / fall
-        angles[found] = 2.0 * np.pi * (k + 0.5) / count
+        angles[found] = angle
         middle = int(where)
         flanks[found, 0] = sign * mean_between(raw, middle - gap - n_side + 1, middle - gap + 1)
         flanks[found, 1] = sign * mean_between(raw, middle + 1 + gap, middle + 1 + gap + n_side)
+        flank_terms(tables, light, view, h, slopes[found], bends[found])
         for j in range(2 * n_side + 2):
             near[found, j] = soft[middle - n_side + j]
         sides[found] = n_side
@@ -296,11 +303,15 @@ def trace_rim(
         steps[found] = step
         falls[found] = sign * fall
         found += 1
-    bluntness = dot / square
+    steepness = steepness_of_flanks(flanks[:found], contrasts[:found], slopes[:found], bends[:found])
+    canonical *= max(steepness, 1.0)
+    sharpness = min(max(sharp / canonical, _LEAST_SHARPNESS), _LARGEST_SHARPNESS)
+    bluntness = _bluntness(shapes[:found], contrasts, sharpness)
+    first[:found] -= bluntness * shapes[:found, 0] + sharpness * shapes[:found, 1]
     level = np.zeros(found)
     evidence = np.zeros(2)
     if found > 0:
-        found_level = levels_of_flanks(flanks[:found], contrasts[:found], curvatures[:found])
+        found_level = levels_of_flanks(flanks[:found], contrasts[:found], slopes[:found], bends[:found])
         contrasts = np.abs(contrasts)
         shifts = np.zeros(found)
         crossings = np.empty(found)
@@ -314,7 +325,7 @@ def trace_rim(
                 first[i] += shifts[i]
                 shifts[i] = -_LOST_SHARE * found_level[i] / falls[i]
                 first[i] -= shifts[i]
-            crossings[i] = first[i] - bluntness * more[i]
+            crossings[i] = first[i]
             level[i] = -falls[i] * shifts[i]
         seen = ~lost[:found]
         evidence = evidence_of_level(
@@ -323,34 +334,33 @@ def trace_rim(
     for i in range(found):
         flat = _FLAT_CONTRAST_SHARE * largest / contrasts[i]
         ratio[i] *= np.sqrt(1.0 + flat * flat) / contrasts[i]
-        t = first[i] - bluntness * more[i]
-        points[i, 0] += t * normal[i, 0]
-        points[i, 1] += t * normal[i, 1]
+        points[i, 0] += first[i] * normal[i, 0]
+        points[i, 1] += first[i] * normal[i, 1]
         if bent:
             back_through_lens(points[i], motion[i], lens)
     return points[:found], ratio[:found], motion[:found], tried, bluntness, level, evidence
 
 
 @njit(cache=True, error_model="numpy")
-def _interpolate(
-    table: FloatArray, rows: FloatArray, columns: FloatArray, row: float, column: float
-) -> float:
-    """Bilinear value of a table on a regular grid, constant beyond its ends."""
-    x = min(max((row - rows[0]) / (rows[1] - rows[0]), 0.0), len(rows) - 1.0)
-    y = min(max((column - columns[0]) / (columns[1] - columns[0]), 0.0), len(columns) - 1.0)
-    i, j = min(int(x), len(rows) - 2), min(int(y), len(columns) - 2)
-    u, v = x - i, y - j
-    return (1.0 - u) * ((1.0 - v) * table[i, j] + v * table[i, j + 1]) + u * (
-        (1.0 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
-    )
+def _bluntness(shapes: FloatArray, contrasts: FloatArray, sharpness: float) -> float:
+    """Displacement under more smoothing over the canonical crater's, from the rows (n, 5) of `trace_rim`."""
+    dot, square = _BLUNTNESS_PRIOR_PX2, _BLUNTNESS_PRIOR_PX2
+    for i in range(len(shapes)):
+        expected = shapes[i, 2]
+        moved = shapes[i, 4] - sharpness * shapes[i, 3]
+        # False where the crossing is lost under more smoothing.
+        if np.abs(moved) < 4.0 * np.abs(expected) + 0.5:
+            weight = contrasts[i] * contrasts[i]
+            dot += weight * moved * expected
+            square += weight * expected * expected
+    return dot / square
 
 
 @njit(cache=True, error_model="numpy")
 def flanks_around(
-    image: ImageArray, chart_px: FloatArray, reference: float, gradient: FloatArray, contrast_px: FloatArray,
-    curvature_px: FloatArray, smoothing_share: float, smoothing_px: float, psf_px: float, count: int,
-    lens: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    image: ImageArray, chart_px: FloatArray, shading: RimShading, smoothing_share: float, smoothing_px: float,
+    psf_px: float, count: int, tables: CrestTables, lens: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Sample the brightness of the flanks of a known crest, all around the rim.
 
     Parameters
@@ -359,49 +369,54 @@ def flanks_around(
         Brightness, 0 to 255.
     chart_px : ndarray, shape (5,)
         Fitted rim, chart in pixels of the camera without distortion.
-    reference, gradient, contrast_px, curvature_px : float, ndarray, shapes (2,), (2,), (2, 2)
-        As in `trace_rim`, as all that follow.
+    shading : RimShading
     smoothing_share, smoothing_px, psf_px : float
+        As in `trace_rim`, as the next two.
     count : int
+    tables : CrestTables
     lens : ndarray, shape (14,)
         `Camera.lens`: intrinsics, px, and distortion.
 
     Returns
     -------
-    angles, contrasts, curvatures : ndarray, shape (n,)
-        Affine angles of the normals that lie in the image, and the slope contrasts and second-order changes
-        of brightness across the rim.
-    flanks : ndarray, shape (n, 2)
+    angles : ndarray, shape (n,)
+        Affine angles of the normals that lie in the image.
+    flanks, contrasts, slopes, bends : ndarray, shapes (n, 2), (n,), (n, 2), (n, 2)
         See `ground_level.levels_of_flanks`.
     """
-    angles, contrasts, curvatures = np.empty(count), np.empty(count), np.empty(count)
-    flanks = np.empty((count, 2))
+    angles, contrasts = np.empty(count), np.empty(count)
+    flanks, slopes, bends = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
     q = np.empty(6)
     bent = distorts(lens)
+    light = rim_light(chart_px, shading)
     samples = np.empty(0)
     found = 0
     for k in range(count):
         angle = 2.0 * np.pi * (k + 0.5) / count
         rim_point(chart_px, angle, q)
-        contrast, curvature = contrast_across(contrast_px, q), curvature_across(curvature_px, q)
-        local = reference * reference_along(gradient, chart_px, q)
+        view = normal_view(chart_px, light, shading.curvature_px, angle, q)
+        local = shading.reference * reference_along(shading.gradient, chart_px, q)
         if bent:
             through_lens(q, lens)
         h = q[4]
-        smooth = max(smoothing_px, smoothing_share * h)
-        step = _SAMPLE_STEP_PX * max(1.0, 0.02 * h)
-        n_side = int(max(_MIN_SIDE_PX, _SIDE_SHARE * h) / step + 0.5)
-        gap = int(np.sqrt(smooth * smooth + psf_px * psf_px + _PIXEL_VARIANCE_PX2) / step + 0.5)
-        half = gap + n_side
+        step = sample_step(h)
+        smooth = smoothing_px_at(h, smoothing_px, smoothing_share)
+        gap, n_side = flank_samples(h, step, smooth, psf_px)
+        odd, of_sharp, turned = crossing_parts(tables, view, np.sqrt(smooth * smooth + psf_px * psf_px) / h)
+        shift = h * (odd + of_sharp + turned) / step
+        half = gap + n_side + int(np.abs(shift)) + 2
         if 2 * half + 1 > len(samples):
             samples = np.empty(4 * half)
         raw = samples[: 2 * half + 1]
         if not sample_normal(image, q, step, raw):
             continue
-        inner, outer = mean_between(raw, 0, n_side), mean_between(raw, half + gap + 1, 2 * half + 1)
+        middle = int(half + shift)
+        inner = mean_between(raw, middle - gap - n_side + 1, middle - gap + 1)
+        outer = mean_between(raw, middle + 1 + gap, middle + 1 + gap + n_side)
         if np.isnan(inner + outer) or max(inner, outer) > SATURATED_BRIGHTNESS:
             continue
-        angles[found], contrasts[found], curvatures[found] = angle, contrast, curvature
+        angles[found], contrasts[found] = angle, view.contrast
         flanks[found, 0], flanks[found, 1] = inner / local - 1.0, outer / local - 1.0
+        flank_terms(tables, light, view, h, slopes[found], bends[found])
         found += 1
-    return angles[:found], contrasts[:found], curvatures[:found], flanks[:found]
+    return angles[:found], flanks[:found], contrasts[:found], slopes[:found], bends[:found]

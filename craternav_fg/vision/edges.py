@@ -5,7 +5,8 @@ brightness crosses that reference, between the inner wall and the outer slope. T
 inside the crest, further inside for larger craters. The slope contrast (see `photometry`) gives the side that
 is the bright one. Where it runs along the rim there is no contrast across the rim, and no edge point.
 
-Blurring moves the crossing, as the inner wall is steeper than the outer slope; see `crater_profile`.
+Blurring moves the crossing, as the inner wall is steeper than the outer slope, and an oblique view does; see
+`crest_tables`.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from craternav_fg.camera import Camera
-from craternav_fg.vision import crater_profile, edge_kernel
+from craternav_fg.vision import edge_kernel
+from craternav_fg.vision.crest_tables import CrestTables, crest_tables
 from craternav_fg.vision.ground_level import LEVEL_TERMS, smooth_level
 from craternav_fg.vision.rim_shading import RimShading
 from factors.arrays import FloatArray, ImageArray
@@ -47,6 +49,10 @@ class EdgeOptions:
         """Return the least brightness step across an edge that noise of a standard deviation leaves."""
         # The difference of two pixels has twice the variance of one.
         return self.step_sigmas * float(np.sqrt(2.0)) * noise
+
+    def crest_tables(self, psf_px: float) -> CrestTables:
+        """Return what the canonical crest shows in images of a point-spread function, px, so smoothed."""
+        return crest_tables(psf_px, self.smoothing_px, self.smoothing_share)
 
 
 @dataclass(frozen=True)
@@ -137,10 +143,10 @@ def find_edge_points(
     count = edge_kernel.normal_count(radius_px)
     noise_step = options.noise_step(noise) / shading.reference
     points, ratio, motion, tried, _, level, evidence = edge_kernel.trace_rim(
-        image, chart_px, *shading, reach_px, options.smoothing_share, options.smoothing_px,
+        image, chart_px, shading, reach_px, options.smoothing_share, options.smoothing_px,
         camera.psf_sigma_px, options.min_slope_contrast, options.min_step_share, noise_step, count,
-        crater_profile.crossing_table(), crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS,
-        camera.lens, np.zeros(LEVEL_TERMS) if ground is None else ground, by_flanks,
+        options.crest_tables(camera.psf_sigma_px), camera.lens,
+        np.zeros(LEVEL_TERMS) if ground is None else ground, by_flanks,
     )  # fmt: skip
     return EdgePoints(points, ratio, motion, level, evidence, tried, count)
 
@@ -172,8 +178,8 @@ def level_around(
     ndarray, shape (5,)
         See `ground_level.smooth_level`.
     """
-    angles, contrasts, curvatures, flanks = edge_kernel.flanks_around(
-        image, chart_px, *shading, options.smoothing_share, options.smoothing_px, camera.psf_sigma_px,
-        edge_kernel.normal_count(radius_px), camera.lens,
+    flanks = edge_kernel.flanks_around(
+        image, chart_px, shading, options.smoothing_share, options.smoothing_px, camera.psf_sigma_px,
+        edge_kernel.normal_count(radius_px), options.crest_tables(camera.psf_sigma_px), camera.lens,
     )  # fmt: skip
-    return smooth_level(angles, contrasts, curvatures, flanks)
+    return smooth_level(*flanks)

@@ -28,6 +28,8 @@ from factors.kernels.compiled import njit
 
 # Limits of the crest's share of the step: beyond, the flanks are not those of a crest.
 _LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.9
+# Steepness over the canonical crater's that counts: what looks steeper is the image's tone, not the ground.
+_MOST_STEEPNESS = 1.5
 # Harmonics of an ellipse's displacement: what else the points show is not the ellipse's.
 _ELLIPSE_TERMS = 5
 # Prior of the share of the level that all rims of a frame have in common, and its weight; weight of the
@@ -47,7 +49,34 @@ _DARKEST = 0.4
 
 
 @njit(cache=True, error_model="numpy")
-def levels_of_flanks(flanks: FloatArray, contrasts: FloatArray, curvatures: FloatArray) -> FloatArray:
+def steepness_of_flanks(
+    flanks: FloatArray, contrasts: FloatArray, slopes: FloatArray, bends: FloatArray
+) -> float:
+    """Compare how steep the flanks look with those of the canonical crater.
+
+    Parameters
+    ----------
+    flanks, contrasts, slopes, bends : ndarray, shapes (n, 2), (n,), (n, 2), (n, 2)
+        See `levels_of_flanks`.
+
+    Returns
+    -------
+    float
+        Ratio of the steps between the flanks; not below 0. The photometric law and the tone of the image
+        may have a part in it.
+    """
+    found, canonical = 0.0, 0.0
+    for i in range(len(contrasts)):
+        c = contrasts[i]
+        found += c * (flanks[i, 0] - flanks[i, 1])
+        canonical += c * (c * (slopes[i, 0] - slopes[i, 1]) + bends[i, 0] - bends[i, 1])
+    return max(found / canonical, 0.0) if canonical > 0.0 else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def levels_of_flanks(
+    flanks: FloatArray, contrasts: FloatArray, slopes: FloatArray, bends: FloatArray
+) -> FloatArray:
     """Compute the brightness of level ground at points of one rim.
 
     Parameters
@@ -56,32 +85,30 @@ def levels_of_flanks(flanks: FloatArray, contrasts: FloatArray, curvatures: Floa
         Brightness of the inner wall and of the outer slope relative to the reference, less 1.
     contrasts : ndarray, shape (n,)
         Slope contrast across the rim, with sign.
-    curvatures : ndarray, shape (n,)
-        Second-order change of brightness with slope across the rim.
+    slopes, bends : ndarray, shape (n, 2)
+        What the canonical crater's flanks show, see `crest_tables.flank_terms`.
 
     Returns
     -------
     ndarray, shape (n,)
         Relative to the reference, less 1.
     """
-    # Slopes of the flanks: what changes sign with the contrast.
-    inner, outer, square = 0.0, 0.0, 0.0
+    steepness = min(steepness_of_flanks(flanks, contrasts, slopes, bends), _MOST_STEEPNESS)
+    # What is not in proportion to the contrast is of the second order of the slope or more. Of the rest, the
+    # slopes are what changes sign with the contrast.
+    square = steepness * steepness
+    inner, outer, weight = 0.0, 0.0, 0.0
     for i in range(len(contrasts)):
-        inner += contrasts[i] * flanks[i, 0]
-        outer += contrasts[i] * flanks[i, 1]
-        square += contrasts[i] * contrasts[i]
-    inner, outer = inner / square, outer / square
+        inner += contrasts[i] * (flanks[i, 0] - square * bends[i, 0])
+        outer += contrasts[i] * (flanks[i, 1] - square * bends[i, 1])
+        weight += contrasts[i] * contrasts[i]
+    inner, outer = inner / weight, outer / weight
     share = 0.5 if inner == outer else -outer / (inner - outer)
     share = min(max(share, _LEAST_SHARE), _LARGEST_SHARE)
-    # A slope changes the brightness whichever way it faces; on Lambertian ground as in `crater_profile`.
-    inner_even, outer_even = (
-        2.0 - 2.0 / np.sqrt(1.0 + inner * inner),
-        2.0 - 2.0 / np.sqrt(1.0 + outer * outer),
-    )
     out = np.empty(len(contrasts))
     for i in range(len(contrasts)):
-        low = flanks[i, 1] - curvatures[i] * outer_even
-        out[i] = low + share * (flanks[i, 0] - curvatures[i] * inner_even - low)
+        low = flanks[i, 1] - square * bends[i, 1]
+        out[i] = low + share * (flanks[i, 0] - square * bends[i, 0] - low)
     return out
 
 
@@ -109,7 +136,7 @@ def level_at(harmonics: FloatArray, angle: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def smooth_level(
-    angles: FloatArray, contrasts: FloatArray, curvatures: FloatArray, flanks: FloatArray
+    angles: FloatArray, flanks: FloatArray, contrasts: FloatArray, slopes: FloatArray, bends: FloatArray
 ) -> FloatArray:
     """Fit a smooth function of the angle to the brightness of level ground around one rim.
 
@@ -117,7 +144,7 @@ def smooth_level(
     ----------
     angles : ndarray, shape (n,)
         Affine angles of points along the rim, rad.
-    contrasts, curvatures, flanks : ndarray, shapes (n,), (n,), (n, 2)
+    flanks, contrasts, slopes, bends : ndarray, shapes (n, 2), (n,), (n, 2), (n, 2)
         See `levels_of_flanks`.
 
     Returns
@@ -128,7 +155,7 @@ def smooth_level(
     count = len(angles)
     if count <= 2 * LEVEL_TERMS:
         return np.zeros(LEVEL_TERMS)
-    level = levels_of_flanks(flanks, contrasts, curvatures)
+    level = levels_of_flanks(flanks, contrasts, slopes, bends)
     A = np.empty((count, LEVEL_TERMS))
     for i in range(count):
         c, s = np.cos(angles[i]), np.sin(angles[i])

@@ -31,6 +31,7 @@ from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.pose_correction import corrected_pose
 from craternav_fg.vision.predicted_rims import PredictedRims, predict_rims
 from craternav_fg.vision.reference_brightness import ReferenceBrightness
+from craternav_fg.vision.reflectance import photometric_law
 from craternav_fg.vision.rim_fitting import FittedRims, RimFitter
 from craternav_fg.vision.shift_search import common_shift, own_shifts
 from craternav_fg.vision.sun import measure_sun_tilt
@@ -160,6 +161,9 @@ class GuidedFrontEnd:
                 covariance = rough.errors.covariance + self._of_map(rough.predicted.rows, pose)
                 pose, _ = corrected_pose(frame.gTb, frame.prior, pose, H, residual, covariance)
                 rims = self._predict(frame, pose, opt.margin_px)
+        law = photometric_law(frame.pixels, self.camera, rims, opt.edges)
+        frame = replace(frame, brightness=frame.brightness.under(law))
+        rims = self._predict(frame, pose, opt.margin_px)
         fitted = self._fitted(fitter, rims, pose)
         if len(fitted) == 0:
             return _Result(RimSet.empty(), frame.gTb, frame.prior, len(rims))

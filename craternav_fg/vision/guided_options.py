@@ -79,8 +79,8 @@ class GuidedOptions:
     margin_px: float = 3.0
     brightness_sigma_share: float = 0.02
     brightness_slope_per_px: float = 1e-4
-    level_scatter_share: float = 0.08
-    level_rim_share: float = 0.2
+    level_scatter_share: float = 0.09
+    level_rim_share: float = 0.12
     max_shift_px: float = 48.0
     shift_sigmas: float = 3.5
     min_found_share: float = 0.55

@@ -6,6 +6,67 @@ from craternav_fg.vision.image_sampling import cubic
 from factors.arrays import FloatArray, ImageArray
 from factors.kernels.compiled import njit
 
+# Distance of the samples along a normal on small rims, px; it grows with the radius above 50 px.
+_SAMPLE_STEP_PX, _STEP_GROWTH_PER_PX = 0.5, 0.02
+# The inner wall and the outer slope are judged over this length, px, at least, and this share of the radius.
+# It is never more samples than this, given how the distance of the samples grows.
+_MIN_SIDE_PX, _SIDE_SHARE = 2.0, 0.12
+MAX_SIDE_SAMPLES = 12
+# The flanks of the crest begin one standard deviation of the whole blur from the crossing; with that of the
+# pixels, px^2. They are as long as the sides above.
+_PIXEL_VARIANCE_PX2 = 0.1
+
+
+@njit(cache=True, error_model="numpy")
+def sample_step(radius_px: float) -> float:
+    """Return the distance of the samples along a normal, px.
+
+    Parameters
+    ----------
+    radius_px : float
+        Radius along the normal.
+    """
+    return _SAMPLE_STEP_PX * max(1.0, _STEP_GROWTH_PER_PX * radius_px)
+
+
+@njit(cache=True, error_model="numpy")
+def smoothing_px_at(radius_px: float, smoothing_px: float, smoothing_share: float) -> float:
+    """Return the standard deviation of the smoothing along a normal, px.
+
+    Parameters
+    ----------
+    radius_px : float
+        Radius along the normal.
+    smoothing_px, smoothing_share : float
+        See `edges.EdgeOptions`.
+    """
+    return max(smoothing_px, smoothing_share * radius_px)
+
+
+@njit(cache=True, error_model="numpy")
+def flank_samples(radius_px: float, step: float, smooth: float, psf_px: float) -> tuple[int, int]:
+    """Return where the flanks of a crest are, in samples.
+
+    Parameters
+    ----------
+    radius_px : float
+        Radius along the normal.
+    step : float
+        Distance of the samples, px.
+    smooth : float
+        Standard deviation of the smoothing, px.
+    psf_px : float
+        Standard deviation of the point-spread function.
+
+    Returns
+    -------
+    gap, side : int
+        Distance of the flanks from the crossing, and their length.
+    """
+    side_px = max(_MIN_SIDE_PX, _SIDE_SHARE * radius_px)
+    gap_px = np.sqrt(smooth * smooth + psf_px * psf_px + _PIXEL_VARIANCE_PX2)
+    return int(gap_px / step + 0.5), int(side_px / step + 0.5)
+
 
 @njit(cache=True, error_model="numpy")
 def half_gaussian(width: float) -> FloatArray:

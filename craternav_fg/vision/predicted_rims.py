@@ -7,7 +7,7 @@ import numpy as np
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import pixel_chart, semi_minor_bound
-from craternav_fg.photometry import flat_terrain_brightness, slope_curvature
+from craternav_fg.photometry import flat_terrain_brightness, lunar_lambert_share, slope_curvature
 from craternav_fg.vision.reference_brightness import MIN_REFERENCE_BRIGHTNESS, ReferenceBrightness
 from craternav_fg.vision.rim_shading import RimShading
 from factors.arrays import FloatArray, IntArray
@@ -35,6 +35,10 @@ class PredictedRims:
         The same as a vector in the image, per pixel of crater radius, see `edge_kernel.trace_rim`.
     curvature_px : ndarray, shape (n, 2, 2)
         Second-order change of brightness with slope, in the image, per square pixel of crater radius.
+    to_sun_px, to_camera_px, cosines, lommel_share : ndarray, shapes (n, 2), (n, 2), (n, 2), (n,)
+        See `RimShading`.
+    phase_rad : ndarray, shape (n,)
+        Phase angle at the centre.
     reference : ndarray, shape (n,)
         Reference brightness: that of locally flat terrain there, 0 to 255.
     gradient : ndarray, shape (n, 2)
@@ -49,6 +53,11 @@ class PredictedRims:
     slope_contrast: FloatArray
     contrast_px: FloatArray
     curvature_px: FloatArray
+    to_sun_px: FloatArray
+    to_camera_px: FloatArray
+    cosines: FloatArray
+    lommel_share: FloatArray
+    phase_rad: FloatArray
     reference: FloatArray
     gradient: FloatArray
     jacobians: FloatArray
@@ -69,8 +78,9 @@ class PredictedRims:
     def shading(self, i: int) -> RimShading:
         """Return what is expected of the brightness around a rim."""
         return RimShading(
-            float(self.reference[i]), self.gradient[i], self.contrast_px[i], self.curvature_px[i]
-        )
+            float(self.reference[i]), self.gradient[i], self.contrast_px[i], self.curvature_px[i],
+            self.to_sun_px[i], self.to_camera_px[i], self.cosines[i], float(self.lommel_share[i]),
+        )  # fmt: skip
 
     def smallest_radius_px(self, i: int) -> float:
         """Return the approximate semi-minor axis of a rim, px."""
@@ -123,15 +133,18 @@ def predict_rims(
     gTc = camera.gTc(gTb)
     view = gTc[:3, 3] - centres
     view /= np.linalg.norm(view, axis=-1, keepdims=True)
-    law, contrast = flat_terrain_brightness(catalog.normals[rows], sun_g, view)
+    law, contrast = flat_terrain_brightness(catalog.normals[rows], sun_g, view, brightness.law)
     centres_c = (centres - gTc[:3, 3]) @ gTc[:3, :3]
     points = centres_c[:, :2] / centres_c[:, 2:]
     radius_m = np.sqrt(catalog.semi_major_m[rows] * catalog.semi_minor_m[rows])
     # From vectors along the ground, in g, to pixels per radius.
     to_image = gTc[:3, :2].T - points[:, :, None] * gTc[:3, 2]
     to_image *= (np.array([camera.fx_px, camera.fy_px]) * (radius_m / centres_c[:, 2])[:, None])[:, :, None]
-    curvature = slope_curvature(catalog.normals[rows], sun_g, view)
+    curvature = slope_curvature(catalog.normals[rows], sun_g, view, brightness.law)
     reference = law * brightness.ratio(points)
+    normals = catalog.normals[rows]
+    cosines = np.stack([normals @ sun_g, np.sum(normals * view, axis=-1)], axis=-1)
+    phase_rad = np.arccos(np.clip(view @ sun_g, -1.0, 1.0))
     lit = reference > MIN_REFERENCE_BRIGHTNESS
     return PredictedRims(
         rows[lit],
@@ -140,6 +153,11 @@ def predict_rims(
         np.linalg.norm(contrast[lit], axis=-1),
         np.einsum("nij,nj->ni", to_image[lit], contrast[lit]),
         to_image[lit] @ curvature[lit] @ np.swapaxes(to_image[lit], 1, 2),
+        np.einsum("nij,nj->ni", to_image[lit], (sun_g - cosines[:, :1] * normals)[lit]),
+        np.einsum("nij,nj->ni", to_image[lit], (view - cosines[:, 1:] * normals)[lit]),
+        cosines[lit],
+        lunar_lambert_share(phase_rad[lit], brightness.law),
+        phase_rad[lit],
         reference[lit],
         _gradient(rows[lit], camera, catalog, gTc, sun_g, brightness) / reference[lit, None],
         H[lit],
@@ -163,7 +181,7 @@ def _gradient(
     view = gTc[:3, 3] - ends
     view /= np.linalg.norm(view, axis=-1, keepdims=True)
     normals = ends / np.linalg.norm(ends, axis=-1, keepdims=True)
-    law, _ = flat_terrain_brightness(normals.reshape(-1, 3), sun_g, view.reshape(-1, 3))
+    law, _ = flat_terrain_brightness(normals.reshape(-1, 3), sun_g, view.reshape(-1, 3), brightness.law)
     ends_c = (ends - gTc[:3, 3]) @ gTc[:3, :3]
     points = ends_c[..., :2] / ends_c[..., 2:]
     step_px = (points[:, :, 0] - points[:, :, 1]) * [camera.fx_px, camera.fy_px]

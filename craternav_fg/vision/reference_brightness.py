@@ -1,11 +1,13 @@
 """Reference brightness of an image: that of locally flat terrain under the local illumination and view."""
 
+from copy import copy
+
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.body import ground_points
 from craternav_fg.camera import Camera
-from craternav_fg.photometry import flat_terrain_brightness
+from craternav_fg.photometry import MCEWEN, LunarLambert, flat_terrain_brightness
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, noise_level
 from craternav_fg.vision.robust_scale import robust_sigma
 from factors.arrays import FloatArray
@@ -15,7 +17,7 @@ MIN_REFERENCE_BRIGHTNESS = 6.0
 # Blocks along the shorter side of an image, at least, and blocks of lit ground that determine a quadratic.
 _MIN_BLOCKS_PER_SIDE, _MIN_BLOCKS_QUADRATIC = 6, 24
 # Blocks count if the photometric law gives them at least this brightness, which is 1 at the zenith.
-_MIN_LAW = 0.02
+_MIN_FLAT = 0.02
 # Scatter of the ground's brightness where too few blocks show it: more than images of rendered ground have.
 _UNKNOWN_SCATTER = 0.1
 # Least ratio to relate the scatter to, of 255.
@@ -52,6 +54,8 @@ class ReferenceBrightness:
     scatter : float
         Standard deviation of the blocks' brightness about it, relative to it: slopes and albedo of the ground
         at the size of a block.
+    law : LunarLambert
+        The ground's photometric law: McEwen's, until another is known.
     """
 
     def __init__(
@@ -76,11 +80,24 @@ class ReferenceBrightness:
         ground, hit = ground_points(gTc[:3, :3], gTc[:3, 3], points, radius_m)
         view = gTc[:3, 3] - ground
         view /= np.linalg.norm(view, axis=-1, keepdims=True)
-        law, _ = flat_terrain_brightness(ground / np.linalg.norm(ground, axis=-1, keepdims=True), sun_g, view)
-        keep = hit & (law > _MIN_LAW) & (median < SATURATED_BRIGHTNESS)
+        normals = ground / np.linalg.norm(ground, axis=-1, keepdims=True)
+        self._blocks = points, normals, sun_g, view, hit, median
+        self._fit(MCEWEN)
+
+    def under(self, law: LunarLambert) -> "ReferenceBrightness":
+        """Return that of ground with another photometric law."""
+        out = copy(self)
+        out._fit(law)
+        return out
+
+    def _fit(self, law: LunarLambert) -> None:
+        points, normals, sun_g, view, hit, median = self._blocks
+        self.law = law
+        flat, _ = flat_terrain_brightness(normals, sun_g, view, law)
+        keep = hit & (flat > _MIN_FLAT) & (median < SATURATED_BRIGHTNESS)
         self._coefficients = np.zeros(6)
         self.scatter = _UNKNOWN_SCATTER
-        ratio = median[keep] / law[keep]
+        ratio = median[keep] / flat[keep]
         if len(ratio) >= _MIN_BLOCKS_QUADRATIC:
             self._coefficients = _robust_quadratic(_powers(points[keep]), ratio)
             self.scatter = robust_sigma(ratio / np.maximum(self.ratio(points[keep]), _MIN_RATIO) - 1.0)

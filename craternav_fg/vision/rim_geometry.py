@@ -6,7 +6,7 @@ it is: points and normals of a rim go through the lens first, and the edge point
 
 import numpy as np
 
-from craternav_fg.ellipse import point_kernel
+from craternav_fg.ellipse import point_kernel, whiten_kernel
 from craternav_fg.lens import distort, undistort
 from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
@@ -35,6 +35,26 @@ def rim_point(chart_px: FloatArray, angle: float, out: FloatArray) -> None:
     out[4] = 1.0 / g
     # kappa = h^3 / det(S).
     out[5] = 1.0 / (np.exp(2.0 * (chart_px[2] + chart_px[4])) * g * g * g)
+
+
+@njit(cache=True, error_model="numpy")
+def in_circle(chart_px: FloatArray, x: float, y: float) -> FloatArray:
+    """Take a vector of the image to the coordinates in which a rim is the unit circle.
+
+    Parameters
+    ----------
+    chart_px : ndarray, shape (5,)
+        The rim, px.
+    x, y : float
+        The vector, px.
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        In radii.
+    """
+    u, v = whiten_kernel(x, y, 0.0, 0.0, chart_px[2], chart_px[3], chart_px[4])
+    return np.array([u, v])
 
 
 @njit(cache=True, error_model="numpy")

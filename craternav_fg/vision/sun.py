@@ -28,8 +28,6 @@ from factors.arrays import FloatArray
 
 # Largest standard deviation of the predicted attitude, rad, that decides the sense of the axis.
 _MAX_SENSE_SIGMA_RAD = 0.5
-# Fewer craters are no better than the relief.
-_MIN_CRATERS = 3
 # Error of the tilt per error of the predicted attitude, through the foreshortening.
 _TILT_PER_ATTITUDE_ERROR = 0.5
 # Minimum horizontal part of the unit vector towards the sun: the azimuth is undefined with the sun at the
@@ -138,7 +136,7 @@ def measure_sun_tilt(
     if sun_g @ normal <= 0.0 or np.linalg.norm(azimuth) < _MIN_HORIZONTAL_SUN:
         return None
     offset, sigma = 0.0, np.inf
-    if craters is not None and len(craters) >= _MIN_CRATERS:
+    if craters is not None and len(craters) > 0:
         offset, sigma = sun_azimuth_offset(image.astype(np.float32), camera, craters, gTb, sun_g)
         floor_rad, oblique_rad = options.crater_floor_rad, options.crater_floor_oblique_rad
     if not np.isfinite(sigma):

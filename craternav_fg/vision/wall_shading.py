@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.photometry import flat_terrain_brightness
+from craternav_fg.photometry import LunarLambert, flat_terrain_brightness
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS
 from craternav_fg.vision.robust_scale import robust_sigma
 from factors.arrays import FloatArray
@@ -25,6 +25,11 @@ _RING_ANGLES_RAD = 2.0 * np.pi * (np.arange(48) + 0.5) / 48.0
 _PRIOR_SCATTER_RAD, _PRIOR_SCATTER_COUNT = float(np.deg2rad(2.0)), 3.0
 # Largest saturated share of a wall: like a shadow, saturation is symmetric about the illumination direction.
 _MAX_SATURATED_SHARE = 0.35
+# Laws between which the ground's lies as a rule. Where they turn the slope contrast by more, as with the sun
+# behind the camera, a crater tells nothing of the sun.
+_LAWS, _LARGEST_TURN_RAD = (LunarLambert(0.25), LunarLambert(0.75)), float(np.deg2rad(30.0))
+# Fewer craters are no better than the relief.
+_MIN_CRATERS = 3
 # Iterations of the robust mean, and its scale in standard deviations.
 _ITERATIONS, _SCALE_SIGMAS = 10, 2.0
 
@@ -49,9 +54,9 @@ def sun_azimuth_offset(
     Returns
     -------
     offset_rad : float
-        Robust mean over the craters of the rotation about the ground's normal; NaN without a lit crater.
+        Robust mean over the craters of the rotation about the ground's normal; NaN with too few.
     sigma_rad : float
-        Its standard deviation, from the scatter of the craters; infinite without any.
+        Its standard deviation, from the scatter of the craters; infinite with fewer than three that tell it.
     """
     centres, gRl, gTc = craters.centres, craters.gRl, camera.gTc(gTb)
     a, b = craters.semi_major_m[:, None], craters.semi_minor_m[:, None]
@@ -69,15 +74,17 @@ def sun_azimuth_offset(
     view /= np.linalg.norm(view, axis=1, keepdims=True)
     normals = gRl[:, :, 2]
     _, contrast = flat_terrain_brightness(normals, sun_g, view)
+    first, last = (flat_terrain_brightness(normals, sun_g, view, law)[1] for law in _LAWS)
+    turn = _turn(first, last, normals)
     # The wall that rises towards the sun is the dark one.
     along = -a * np.mean(value * np.tile(c, len(_WALL_RING_RADII)), axis=1, keepdims=True) * gRl[:, :, 0]
     along -= b * np.mean(value * np.tile(s, len(_WALL_RING_RADII)), axis=1, keepdims=True) * gRl[:, :, 1]
-    offset = np.arctan2(np.sum(np.cross(contrast, along) * normals, axis=1), np.sum(contrast * along, axis=1))
+    offset = _turn(contrast, along, normals)
     saturated = np.mean(value > SATURATED_BRIGHTNESS, axis=1)
-    offset = offset[
-        np.isfinite(offset) & (saturated < _MAX_SATURATED_SHARE) & (np.linalg.norm(contrast, axis=1) > 0.0)
-    ]
-    if len(offset) == 0:
+    lit = np.linalg.norm(contrast, axis=1) > 0.0
+    told = np.isfinite(offset) & (np.abs(turn) < _LARGEST_TURN_RAD)
+    offset = offset[told & lit & (saturated < _MAX_SATURATED_SHARE)]
+    if len(offset) < _MIN_CRATERS:
         return float("nan"), float("inf")
     # Angles are taken from a middle direction: they must not wrap around.
     middle = float(np.angle(np.median(np.cos(offset)) + 1j * np.median(np.sin(offset))))
@@ -94,3 +101,8 @@ def sun_azimuth_offset(
         weight = 1.0 / (1.0 + ((off - best) / (_SCALE_SIGMAS * scatter)) ** 2) ** 2
         best = float(weight @ off / weight.sum())
     return middle + best, scatter / float(np.sqrt(weight.sum()))
+
+
+def _turn(before: FloatArray, after: FloatArray, normals: FloatArray) -> FloatArray:
+    """Angles (n,) about the ground's normals from vectors (n, 3) along the ground to others."""
+    return np.arctan2(np.sum(np.cross(before, after) * normals, axis=1), np.sum(before * after, axis=1))

@@ -2,22 +2,35 @@ import numpy as np
 import pytest
 
 from craternav_fg.camera import Camera
-from craternav_fg.vision import crater_profile, edge_kernel, normal_profile, rim_geometry, shift_kernel
+from craternav_fg.vision import edge_kernel, normal_profile, rim_geometry, shift_kernel
+from craternav_fg.vision.crest_tables import crest_tables
+from craternav_fg.vision.rim_shading import RimShading
 
 REFERENCE = 100.0
 CENTRE = np.array([61.3, 58.8])
 CHART = np.array([*CENTRE, np.log(20.0), 0.2, np.log(17.0)])
 # Slope contrast towards -x: walls facing +x, on the left, are dark.
 CONTRAST_PX = np.array([-20.0, 0.0])
-NO_OFFSET = np.zeros((len(crater_profile.BLUR_RADII), len(crater_profile.SLOPE_CONTRASTS)))
-# As the table is: the kernel would be compiled anew.
-NO_OFFSET.flags.writeable = False
+SMOOTHING_SHARE, SMOOTHING_PX, PSF_PX = 0.02, 0.4, 0.0
 PLAIN = Camera(128, 128, 150.0, 150.0, 63.5, 63.5).lens
 EVEN = np.zeros(5)
 # Brightness of level ground does not change along the image, and slopes change it as on Lambertian ground.
 LEVEL = np.zeros(2)
 LAMBERTIAN = -0.5 * np.array([[400.0, 80.0], [80.0, 305.0]])
+SHADING = RimShading(
+    REFERENCE, LEVEL, CONTRAST_PX, LAMBERTIAN, np.sqrt(0.5) * CONTRAST_PX, np.zeros(2),
+    np.array([np.sqrt(0.5), 1.0]), 0.0,
+)  # fmt: skip
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+
+
+def tables():
+    """Of a rim crest whose crossing is on it."""
+    known = crest_tables(PSF_PX, SMOOTHING_PX, SMOOTHING_SHARE)
+    nothing = np.zeros(known.crossings.shape)
+    # As the table is: the kernel would be compiled anew.
+    nothing.flags.writeable = False
+    return known._replace(crossings=nothing)
 
 
 def rim_image(centre=CENTRE, contrast=0.5):
@@ -45,21 +58,16 @@ def trace(
     return edge_kernel.trace_rim(
         image,
         chart,
-        reference,
-        gradient,
-        CONTRAST_PX,
-        LAMBERTIAN,
+        SHADING._replace(reference=reference, gradient=gradient),
         4.0,
-        0.02,
-        0.4,
-        0.0,
+        SMOOTHING_SHARE,
+        SMOOTHING_PX,
+        PSF_PX,
         min_slope_contrast,
         0.02,
         0.0,
         72,
-        NO_OFFSET,
-        crater_profile.BLUR_RADII,
-        crater_profile.SLOPE_CONTRASTS,
+        tables(),
         PLAIN,
         ground,
         by_flanks,
@@ -78,9 +86,8 @@ def test_no_smoothing_is_the_limit_of_little():
     """Both are options that may be zero; without a kernel to read, no edge was found."""
     found = [
         edge_kernel.trace_rim(
-            rim_image(), CHART, REFERENCE, LEVEL, CONTRAST_PX, LAMBERTIAN, 4.0, 0.0, smoothing_px, 0.0, 0.12,
-            0.02, 0.0, 72, NO_OFFSET, crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS, PLAIN, EVEN,
-            False,
+            rim_image(), CHART, SHADING, 4.0, 0.0, smoothing_px, 0.0, 0.12, 0.02, 0.0, 72, tables(), PLAIN,
+            EVEN, False,
         )[0]
         for smoothing_px in (0.01, 0.0)
     ]  # fmt: skip
@@ -182,27 +189,6 @@ def test_a_rim_that_no_shift_brings_into_the_image_has_none():
     )  # fmt: skip
     np.testing.assert_array_equal(best, np.ones(2))
     assert score == -np.inf
-
-
-@pytest.mark.parametrize("contrast", [-2.0, 1.5])
-@pytest.mark.parametrize("blur", [0.05, 0.1])
-def test_crossing_table_against_a_rendered_crater(contrast, blur):
-    """Blur the canonical crater's brightness along a line and look where it meets that of flat terrain."""
-    rho = np.linspace(0.2, 2.0, 9001)
-    slope = crater_profile.slopes(rho)
-    assert abs(np.interp(1.0, rho, slope)) < 1e-6
-    light = np.maximum((1.0 + contrast * slope) / np.sqrt(1.0 + slope**2), 0.0)
-    x = np.linspace(0.8, 1.3, 501)
-    weight = np.exp(-0.5 * ((x[:, None] - rho) / blur) ** 2)
-    excess = np.sign(contrast) * (weight @ light / weight.sum(axis=1) - 1.0)
-    crossing = x[np.flatnonzero((excess[:-1] > 0.0) & (excess[1:] <= 0.0))[0]]
-    table = crater_profile.crossing_table()
-    i = int(np.argmin(np.abs(crater_profile.BLUR_RADII - blur)))
-    j = int(np.argmin(np.abs(crater_profile.SLOPE_CONTRASTS - contrast)))
-    at = np.interp(blur, crater_profile.BLUR_RADII, table[:, j])
-    assert crater_profile.SLOPE_CONTRASTS[j] == contrast
-    assert abs(table[i, j] - at) < 0.02
-    assert abs(at - (crossing - 1.0)) < 0.003
 
 
 def test_smoothing_at_the_ends_of_a_profile():

@@ -32,8 +32,10 @@ def predicted(contrast=SLOPE_CONTRAST):
     # Ground that rises towards the light at +x faces away from it.
     return PredictedRims(
         np.array([0]), normalised_chart(CHART, CAMERA)[0][None], CHART[None], np.array([contrast]),
-        np.array([[contrast * RADIUS_PX, 0.0]]), -0.5 * RADIUS_PX**2 * np.eye(2)[None], np.array([REFERENCE]),
-        np.zeros((1, 2)), np.zeros((1, 5, 6)),
+        np.array([[contrast * RADIUS_PX, 0.0]]), -0.5 * RADIUS_PX**2 * np.eye(2)[None],
+        np.array([[contrast * RADIUS_PX / np.hypot(1.0, contrast), 0.0]]), np.zeros((1, 2)),
+        np.array([[1.0 / np.hypot(1.0, contrast), 1.0]]), np.zeros(1), np.arctan([contrast]),
+        np.array([REFERENCE]), np.zeros((1, 2)), np.zeros((1, 5, 6)),
     )  # fmt: skip
 
 
@@ -91,18 +93,20 @@ def test_a_frame_decides_for_rims_that_show_little():
 
 def test_a_smooth_level_is_that_of_the_ground_whatever_a_few_flanks_show():
     angles = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
-    contrasts, lambertian = SLOPE_CONTRAST * np.cos(angles), np.full(60, -0.5)
+    contrasts = SLOPE_CONTRAST * np.cos(angles)
     # Across the illumination direction, and of the second order: what flanks can tell from their slopes.
     level = -0.1 + 0.08 * np.sin(angles) + 0.05 * np.sin(2.0 * angles)
     inner, outer = 0.4, -0.2
-    flanks = np.stack([(1.0 + s * contrasts) / np.hypot(1.0, s) - 1.0 for s in (inner, outer)], axis=-1)
-    found = smooth_level(angles, contrasts, lambertian, flanks + level[:, None])
+    slopes = np.tile([inner, outer], (60, 1))
+    flanks = (1.0 + slopes * contrasts[:, None]) / np.hypot(1.0, slopes) - 1.0
+    bends = flanks - slopes * contrasts[:, None]
+    found = smooth_level(angles, flanks + level[:, None], contrasts, slopes, bends)
     assert [level_at(found, angle) for angle in angles] == pytest.approx(level, abs=0.02)
     # A neighbour where the light runs along the rim, where it does not touch the slopes of the flanks.
     flanks[13:17] += 0.5
-    found = smooth_level(angles, contrasts, lambertian, flanks + level[:, None])
+    found = smooth_level(angles, flanks + level[:, None], contrasts, slopes, bends)
     assert [level_at(found, angle) for angle in angles] == pytest.approx(level, abs=0.03)
-    assert not smooth_level(angles[:8], contrasts[:8], lambertian[:8], flanks[:8]).any()
+    assert not smooth_level(angles[:8], flanks[:8], contrasts[:8], slopes[:8], bends[:8]).any()
 
 
 def test_crossings_that_dark_and_bright_ground_hides_are_found_at_the_level_of_the_ground():
@@ -172,9 +176,12 @@ def test_flanks_of_no_crest_do_not_extrapolate_the_level():
     contrasts = np.tile([0.5, -0.5], 20)
     for inner, outer, share in ((0.5, 0.4, 0.1), (-0.4, -0.5, 0.9), (0.2, 0.2, 0.5)):
         flanks = contrasts[:, None] * np.array([inner, outer])
-        level = levels_of_flanks(flanks, contrasts, np.full(40, -0.5))
-        even = 1.0 / np.sqrt(1.0 + np.array([inner, outer]) ** 2) - 1.0
-        low, high = flanks[:, 1] - even[1], flanks[:, 0] - even[0]
+        slopes = np.tile([0.4, -0.2], (40, 1))
+        bends = 1.0 / np.sqrt(1.0 + slopes**2) - 1.0
+        level = levels_of_flanks(flanks, contrasts, slopes, bends)
+        # How steep the flanks look is how bent they are.
+        steepness = np.clip((inner - outer) / 0.6, 0.0, 1.0)
+        low, high = (flanks - steepness**2 * bends).T[::-1]
         np.testing.assert_allclose(level, low + share * (high - low), rtol=1e-9)
 
 

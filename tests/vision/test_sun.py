@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.vision.sun import SunOptions, _axis, measure_sun_tilt
+from craternav_fg.vision.wall_shading import sun_azimuth_offset
 from tests.vision import scene
 
 
@@ -151,3 +152,14 @@ def test_noise_has_no_sun():
             noise = cv2.GaussianBlur(noise, (0, 0), blur_px)
         image = np.clip(110.0 + 6.0 * noise / noise.std(), 0, 255).astype(np.uint8)
         assert measure_sun_tilt(image, camera, scene.MOON, gTb, sun_g) is None
+
+
+@pytest.mark.parametrize(("azimuth_deg", "told"), [(270.0, False), (315.0, False), (180.0, True)])
+def test_walls_tell_no_sun_that_hangs_on_the_photometric_law(azimuth_deg, told):
+    """With it behind the camera, Lambertian walls showed it 50 deg off, to 11 and 20 deg."""
+    rng = np.random.default_rng(1)
+    catalog, gTb, sun_g = scene.craters(rng, 10), scene.pose(0.5, 30.0), scene.sun(65.0, azimuth_deg)
+    image = scene.render(catalog, gTb, sun_g, rng).astype(np.float32)
+    offset_rad, sigma_rad = sun_azimuth_offset(image, scene.camera(), catalog, gTb, sun_g)
+    assert np.isfinite(sigma_rad) == told
+    assert np.isfinite(offset_rad) == told

@@ -3,9 +3,10 @@
 The terrain under a crater differs from a plane and its outline from an ellipse in the same way in every
 frame, so a part of a rim's error is fixed to the ground, in directions of the rim's plane. Other errors are
 common to all rims. A blurred rim crest that hides the ground behind it shifts rims towards the camera and
-stretches them along the line of sight. An unknown ground brightness shifts them along the illumination
-direction; the regional slope does so in proportion to their radius where outlines are irregular. A crest
-profile unlike the canonical one makes all rims too large or too small.
+stretches them along the line of sight, as far as it is not the canonical one (`crest_tables`). An unknown
+ground brightness shifts them along the illumination direction; the regional slope does so in proportion to
+their radius where outlines are irregular. A crest profile unlike the canonical one makes all rims too large
+or too small.
 """
 
 from dataclasses import dataclass
@@ -87,15 +88,15 @@ class CorrelatedErrorOptions:
 
     crater_share: float = 0.7
     excess_white_share: float = 0.2
-    camera_shift_px: float = 0.06
-    sun_shift_px: float = 0.02
-    stretch_px: float = 0.025
-    stretch_share: float = 0.0015
-    size_px: float = 0.06
+    camera_shift_px: float = 0.02
+    sun_shift_px: float = 0.03
+    stretch_px: float = 0.04
+    stretch_share: float = 0.0001
+    size_px: float = 0.04
     size_share: float = 0.003
     brightness_share: float = 0.6
-    arc_px: float = 0.2
-    arc_share: float = 0.004
+    arc_px: float = 0.1
+    arc_share: float = 0.006
     map_place_share: float = 0.0
     map_size_share: float = 0.0
     map_height_m: float = 0.0
