@@ -44,9 +44,9 @@ arcs                 CorrelatedErrorOptions.arc_px, px             0.1     0.03 
 ..                   arc_share, radii                              0.006   0.0080 ± 0.0015, confirmed
 pooling              pooling.MEMORY                                1.0     1.9 ± 0.5, not contradicted
 ..                   pooling.PRIOR_FRAMES                          2       0.04 ± 0.02, kept
-variance_inflation   correlated_errors.VARIANCE_INFLATION          3.6     3.5 ± 0.3, confirmed
-sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    0.02 ± 0.36, not contradicted
-..                   crater_floor_oblique_rad, squared, deg2       56      152 ± 63, not contradicted
+variance_inflation   correlated_errors.VARIANCE_INFLATION          4.4     3.53 ± 0.29, confirmed
+sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    -0.02 ± 0.34, not contradicted
+..                   crater_floor_oblique_rad, squared, deg2       56      65 ± 19, not contradicted
 ..                   floor_rad, squared, deg2                      4       5.7 ± 1.1, confirmed
 ..                   floor_oblique_rad, squared, deg2              64      118 ± 45, not contradicted
 crest_blur           crest_blur.LOG_FOUND, CREST_SPREAD            tables  exact

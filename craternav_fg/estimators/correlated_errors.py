@@ -43,7 +43,7 @@ SHARED_FRAMES, _EQUAL = 8, 1e-5
 # Inflation of the variance of time-correlated errors where they are treated as white: they do not average out
 # over the frames that show a crater. Half of some ten frames, as the errors of neighbouring rims differ.
 # Fitted by `craternav_fg.calibration.variance_inflation`.
-VARIANCE_INFLATION = 3.6
+VARIANCE_INFLATION = 4.4
 
 
 @dataclass(frozen=True)
