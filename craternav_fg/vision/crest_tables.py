@@ -36,7 +36,7 @@ _LEAST_BLUR = 1e-6
 _NODES = 10
 # Slope contrasts of a rim between which its flanks go from those of the photometric law to its second
 # order of the slope: in the shadow, how dark a wall is says nothing of how steep it is.
-_FIRST_SHADOWS, _ALL_SHADOWS = 2.5, 4.0
+_FIRST_SHADOWS, _ALL_SHADOWS = 2.5, 6.5
 # Largest ratio of the contrast along the rim to that across it that counts for the crossing: beyond, edges
 # have little weight.
 _MOST_ALONG = 3.0
