@@ -44,7 +44,7 @@ arcs                 CorrelatedErrorOptions.arc_px, px             0.1     0.03 
 ..                   arc_share, radii                              0.006   0.0080 ± 0.0015, confirmed
 pooling              pooling.MEMORY                                1.0     1.9 ± 0.5, not contradicted
 ..                   pooling.PRIOR_FRAMES                          2       0.04 ± 0.02, kept
-variance_inflation   correlated_errors.VARIANCE_INFLATION          4.4     3.53 ± 0.29, confirmed
+variance_inflation   correlated_errors.VARIANCE_INFLATION          4.4     3.525 ± 0.292, confirmed
 sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    -0.02 ± 0.34, not contradicted
 ..                   crater_floor_oblique_rad, squared, deg2       56      65 ± 19, not contradicted
 ..                   floor_rad, squared, deg2                      4       5.7 ± 1.1, confirmed
