@@ -143,25 +143,6 @@ def crossing(profile: FloatArray, near: float) -> float:
     return float(IMAGE_RADII[i] + profile[i] / (profile[i] - profile[i + 1]) * STEP_RADII)
 
 
-def mean_between(profile: FloatArray, first: float, last: float) -> float:
-    """Compute the mean of a profile of the image between two places.
-
-    Parameters
-    ----------
-    profile : ndarray, shape (n,)
-        Dimensionless, at `IMAGE_RADII`.
-    first, last : float
-        Distances from the centre, in radii; as far as the image goes.
-
-    Returns
-    -------
-    float
-    """
-    ends = np.clip([first, last], IMAGE_RADII[0], IMAGE_RADII[-1])
-    low, high = np.interp(ends, IMAGE_RADII, np.cumsum(profile) - 0.5 * profile)
-    return float((high - low) * STEP_RADII / (ends[1] - ends[0]))
-
-
 def _raw_slope(rho: FloatArray) -> FloatArray:
     """Slopes (n,) at radii (n,) in units in which bowl and apron would meet at 1 without rounding."""
     rim = BOWL_DEPTH_RADII + RIM_HEIGHT_RADII
