@@ -31,10 +31,11 @@ _GROWTH = [5, 6]
 # variance is multiplied by the factor already, so without a bound the added one grows with its square: on
 # rough ground of another renderer (`tests/foreign`), with factors of 10 to 25, to ten times the error.
 _MAX_EXCESS = 2.0
-# Slope contrast below which shared errors grow with its inverse, and the least that counts: rims with less
-# are hardly measured. Chosen: over descents with the sun 15 to 86 deg high the log-likelihood of the errors
-# is larger by 35 than without, whether they grow below 0.6 or 1.
-_WEAK_CONTRAST, _LEAST_CONTRAST = 1.0, 0.1
+# Slope contrasts below which shared errors grow, and the least that counts: rims with less are hardly measured.
+# Chosen: over 48 descents on three bodies with the sun 15 to 88 deg high the log-likelihood of the errors is
+# larger by 20 with the square of the inverse for shifts than with the inverse, whether from 0.5 or 0.8 on; for
+# growths the square makes it smaller.
+_WEAK_CONTRAST, _WEAK_CONTRAST_OF_SHIFTS, _LEAST_CONTRAST = 1.0, 0.6, 0.1
 # Share of a variance that is left where all of it is taken away, so that roots exist.
 _LEAST_LEFT = 1e-9
 
@@ -45,8 +46,9 @@ class CorrelatedErrorOptions:
 
     All lengths in px are standard deviations at the rim, in the image; all shares are relative to the radius
     unless they are shares of a variance. Where slopes change the brightness little, as under a high sun, an
-    error of the brightness moves edges farther: lengths that all rims share are those for a slope contrast
-    (see `photometry`) of 1 and more, and grow with the inverse of a smaller one.
+    error of the brightness moves edges farther: lengths that all rims share are those for a large slope contrast
+    (see `photometry`). Below a contrast of 1 growths increase with its inverse; below 0.6 shifts increase with
+    the square, as the second order of the slope then outweighs the first.
 
     Compared with rendered images by `craternav_fg.calibration.correlated_errors`, `arc_px` and `arc_share` by
     `craternav_fg.calibration.arcs`, which determine some of them and hardly the others, see
@@ -305,15 +307,17 @@ def _shared_on_ground(
     stretch = np.stack([x * x, x * y, y * y], axis=-1)
     _, contrast = flat_terrain_brightness(catalog.normals[rows], sun_g, view / range_m[:, None])
     contrast = np.linalg.norm(contrast, axis=-1)
-    farther = _WEAK_CONTRAST / np.clip(contrast, _LEAST_CONTRAST, _WEAK_CONTRAST)
-    px = (farther / radii_px(rows, gTb, camera, catalog))[:, None]
+    farther = _WEAK_CONTRAST_OF_SHIFTS / np.clip(contrast, _LEAST_CONTRAST, _WEAK_CONTRAST_OF_SHIFTS)
+    larger = _WEAK_CONTRAST / np.clip(contrast, _LEAST_CONTRAST, _WEAK_CONTRAST)
+    px = (1.0 / radii_px(rows, gTb, camera, catalog))[:, None]
+    shift_px, growth_px = px * farther[:, None] ** 2, px * larger[:, None]
     roots = np.zeros((len(rows), 5, SHARED_SIZE))
-    roots[:, :2, 0] = options.camera_shift_px * px * camera_l
-    roots[:, :2, 1] = options.camera_shift_px * px * sine2 * camera_l
-    roots[:, :2, 2] = options.sun_shift_px * px * sun_l
-    roots[:, 2:, 3] = options.stretch_px * px * stretch
+    roots[:, :2, 0] = options.camera_shift_px * shift_px * camera_l
+    roots[:, :2, 1] = options.camera_shift_px * shift_px * sine2 * camera_l
+    roots[:, :2, 2] = options.sun_shift_px * shift_px * sun_l
+    roots[:, 2:, 3] = options.stretch_px * growth_px * stretch
     roots[:, 2:, 4] = options.stretch_share * stretch
-    roots[:, [2, 4], 5] = options.size_px * px
+    roots[:, [2, 4], 5] = options.size_px * growth_px
     roots[:, [2, 4], 6] = options.size_share
     return roots
 
