@@ -57,28 +57,29 @@ def crest_blur() -> list[Regenerated]:
     return out
 
 
-def profiles(worn: float) -> FloatArray:
+def profiles(worn: float, step_radii: float = _STEP_RADII) -> FloatArray:
     """Draw the family's cross-sections.
 
     Parameters
     ----------
     worn : float
-        Share of the wear that the family has at most.
+        The wear over the family's own.
+    step_radii : float
+        Distance between samples.
 
     Returns
     -------
-    ndarray, shape (n, 320)
-        Heights over a depth of 1, at multiples of a hundredth of the radius less half of it; the highest line
-        is at 1.
+    ndarray, shape (n, m)
+        Heights over a depth of 1, at odd multiples of half a step, to 3.2 radii; the highest line is at 1.
     """
-    rho = np.arange(0.5, _LAST_RADIUS / _STEP_RADII) * _STEP_RADII
+    rho = np.arange(0.5, _LAST_RADIUS / step_radii) * step_radii
     out = []
     for floor, wall, rim, fall, wear in product(_FLOORS, _WALLS, _RIMS, _FALLS, _WEARS):
         inner = rim - 1.0 + np.clip((rho - floor) / (1.0 - floor), 0.0, 1.0) ** wall
         fade = np.clip((_FLANK_ENDS[1] - rho) / (_FLANK_ENDS[1] - _FLANK_ENDS[0]), 0.0, 1.0)
         height = np.where(rho < 1.0, inner, rim * np.maximum(rho, 1.0) ** -fall * fade)
         both = gaussian_filter1d(
-            np.concatenate([height[::-1], height]), worn * wear / _STEP_RADII, mode="nearest"
+            np.concatenate([height[::-1], height]), worn * wear / step_radii, mode="nearest"
         )
         height = both[len(rho) :]
         out.append(np.interp(rho * _highest(rho, height), rho, height, right=0.0))
@@ -131,4 +132,4 @@ def _highest(rho: FloatArray, height: FloatArray) -> float:
     """Place of the highest point: the vertex of the parabola through three samples."""
     i = int(np.argmax(height))
     before, here, after = height[i - 1 : i + 2]
-    return float(rho[i] + 0.5 * _STEP_RADII * (before - after) / (before - 2.0 * here + after))
+    return float(rho[i] + 0.5 * (rho[1] - rho[0]) * (before - after) / (before - 2.0 * here + after))

@@ -8,6 +8,7 @@ from craternav_fg.calibration.blind_detection import blind_quality, candidates
 from craternav_fg.calibration.catalogue_errors import catalogue_errors
 from craternav_fg.calibration.common_shift import common_shift
 from craternav_fg.calibration.correlated_errors import correlated_errors, outline_brightness
+from craternav_fg.calibration.crest_asymmetry import crest_asymmetry
 from craternav_fg.calibration.crest_blur import crest_blur
 from craternav_fg.calibration.crest_heights import crest_heights
 from craternav_fg.calibration.pooling import pooling
@@ -23,6 +24,7 @@ from craternav_fg.calibration.variance_inflation import variance_inflation
 # Those that share what they render stand together.
 FAMILIES: Mapping[str, Callable[[], list[Regenerated]]] = {
     "robust_moments": robust_moments,
+    "crest_asymmetry": crest_asymmetry,
     "crest_blur": crest_blur,
     "blind_quality": blind_quality,
     "candidates": candidates,

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from craternav_fg.vision.crest_asymmetry import bluntness, displacement_share
 from craternav_fg.vision.crest_tables import CrestTables, crossing_parts, expected_fall, flank_terms
 from craternav_fg.vision.ground_level import (
     evidence_of_level,
@@ -12,6 +13,7 @@ from craternav_fg.vision.ground_level import (
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS
 from craternav_fg.vision.normal_profile import (
     MAX_SIDE_SAMPLES,
+    crossing_between,
     crossing_near,
     flank_samples,
     half_gaussian,
@@ -38,17 +40,18 @@ from factors.kernels.compiled import njit
 _NORMALS_PER_PX = 2.0
 _MIN_NORMALS, _MAX_NORMALS = 56, 160
 # Width of the second smoothing over that of the first: the crossing's displacement between them is observed.
-_SECOND_SMOOTHING_FACTOR = 2.2
+SECOND_SMOOTHING_FACTOR = 2.2
 # Share of a rim's largest slope contrast below which errors of the reference brightness and of the rim's own
 # slope direction, which the prediction does not know, outweigh the noise of the pixels. Chosen on rendered
 # ground.
 _FLAT_CONTRAST_SHARE = 0.35
-# Prior weight of the canonical crater's displacement against the observed one, px^2.
-_BLUNTNESS_PRIOR_PX2 = 0.1
-# The same of the canonical crater's curvature of the crest, 1/radii, for a slope contrast of 1 all around;
-# and the range of the curvature over the canonical crater's.
+# Prior weight of the canonical crater's curvature of the crest, 1/radii, for a slope contrast of 1 all
+# around; and the range of the curvature over the canonical crater's.
 _SHARPNESS_PRIOR = 1.0
 _LEAST_SHARPNESS, _LARGEST_SHARPNESS = 0.2, 2.0
+# Least steepness that the fall at the crest is compared with: of less, the step between the flanks tells
+# nothing.
+_LEAST_STEEPNESS = 0.2
 # An edge is ambiguous if the second best one on its normal scores more than this share of the best.
 _MAX_SECOND_SCORE = 0.75
 # Share of the step from the outer slope to the inner wall at which an edge is searched without a reference,
@@ -162,9 +165,8 @@ def trace_rim(
         Motion of the points, px, per relative change of the reference brightness.
     tried : int
         Normals with enough contrast that lie in the image.
-    bluntness : float
-        Measured displacement of the crossing under more smoothing, relative to that of the canonical crater's
-        asymmetry.
+    displaced : float
+        Displacement of the crossing by the asymmetry of the crest, over the canonical crater's.
     level : ndarray, shape (n,)
         Brightness of level ground at the points, relative to the level searched at, less 1; see
         `ground_level`. Times `motion` it takes the points to where the brightness crosses that level.
@@ -177,7 +179,7 @@ def trace_rim(
     normal = np.empty((count, 2))
     first = np.empty(count)
     contrasts = np.empty(count)
-    shapes = np.empty((count, 5))
+    shapes, moved = np.empty((count, 4)), np.empty(count)
     angles = np.empty(count)
     flanks, slopes, bends = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
     near = np.empty((count, 2 * MAX_SIDE_SAMPLES + 2))
@@ -231,7 +233,7 @@ def trace_rim(
             width = smooth / step
             kernel, wide_kernel = (
                 half_gaussian(width),
-                half_gaussian(_SECOND_SMOOTHING_FACTOR * smooth / step),
+                half_gaussian(SECOND_SMOOTHING_FACTOR * smooth / step),
             )
         smooth_between(raw, half - n_reach - n_side, half + n_reach + n_side + 1, kernel, soft)
         here = soft[half - n_reach]
@@ -264,6 +266,9 @@ def trace_rim(
             fall /= step
         if not (best > 0.0 and second < _MAX_SECOND_SCORE * best):
             continue
+        if not lost[found]:
+            i = int(where)
+            where = i + crossing_between(soft[i - 1], soft[i], soft[i + 1], soft[i + 2])
         brightest = 0.0
         for j in range(int(where) - n_side, int(where) + n_side + 2):
             brightest = max(brightest, local * (1.0 + sign * raw[j]))
@@ -275,12 +280,12 @@ def trace_rim(
         if not lost[found]:
             sharp += np.abs(contrast) * fall * h
             canonical += contrast * contrast * expected_fall(tables, blur)
-        wide = _SECOND_SMOOTHING_FACTOR * smooth
+        wide = SECOND_SMOOTHING_FACTOR * smooth
         again = crossing_near(raw, where, n_side + n_side // 2, wide_kernel)
         blur = np.sqrt(wide * wide + psf_px * psf_px) / h
         wide_odd, wide_of_sharp, wide_turned = crossing_parts(tables, view, blur)
         shapes[found, 2], shapes[found, 3] = h * (wide_odd - odd), h * (wide_of_sharp - of_sharp)
-        shapes[found, 4] = (again - where) * step - h * (wide_turned - turned)
+        moved[found] = (again - where) * step - h * (wide_turned - turned)
         points[found, 0] = q[0]
         points[found, 1] = q[1]
         normal[found, 0] = q[2]
@@ -304,10 +309,11 @@ def trace_rim(
         falls[found] = sign * fall
         found += 1
     steepness = steepness_of_flanks(flanks[:found], contrasts[:found], slopes[:found], bends[:found])
-    canonical *= max(steepness, 1.0)
-    sharpness = min(max(sharp / canonical, _LEAST_SHARPNESS), _LARGEST_SHARPNESS)
-    bluntness = _bluntness(shapes[:found], contrasts, sharpness)
-    first[:found] -= bluntness * shapes[:found, 0] + sharpness * shapes[:found, 1]
+    fall_share = sharp / canonical
+    sharpness = min(max(fall_share / max(steepness, 1.0), _LEAST_SHARPNESS), _LARGEST_SHARPNESS)
+    blunt = bluntness(moved[:found], shapes[:found, 2], shapes[:found, 3], contrasts[:found], sharpness)
+    displaced = displacement_share(blunt, fall_share / max(steepness, _LEAST_STEEPNESS))
+    first[:found] -= displaced * shapes[:found, 0] + sharpness * shapes[:found, 1]
     level = np.zeros(found)
     evidence = np.zeros(2)
     if found > 0:
@@ -338,22 +344,7 @@ def trace_rim(
         points[i, 1] += first[i] * normal[i, 1]
         if bent:
             back_through_lens(points[i], motion[i], lens)
-    return points[:found], ratio[:found], motion[:found], tried, bluntness, level, evidence
-
-
-@njit(cache=True, error_model="numpy")
-def _bluntness(shapes: FloatArray, contrasts: FloatArray, sharpness: float) -> float:
-    """Displacement under more smoothing over the canonical crater's, from the rows (n, 5) of `trace_rim`."""
-    dot, square = _BLUNTNESS_PRIOR_PX2, _BLUNTNESS_PRIOR_PX2
-    for i in range(len(shapes)):
-        expected = shapes[i, 2]
-        moved = shapes[i, 4] - sharpness * shapes[i, 3]
-        # False where the crossing is lost under more smoothing.
-        if np.abs(moved) < 4.0 * np.abs(expected) + 0.5:
-            weight = contrasts[i] * contrasts[i]
-            dot += weight * moved * expected
-            square += weight * expected * expected
-    return dot / square
+    return points[:found], ratio[:found], motion[:found], tried, displaced, level, evidence
 
 
 @njit(cache=True, error_model="numpy")

@@ -3,9 +3,12 @@
 import cv2
 import numpy as np
 
+from craternav_fg.camera import Camera
 from craternav_fg.ellipse import chart_of_axes
 from craternav_fg.photometry import flat_terrain_brightness, lunar_lambert_share, slope_curvature
 from craternav_fg.vision import crater_profile
+from craternav_fg.vision.edges import EdgeOptions, find_edge_points
+from craternav_fg.vision.ground_level import own_share, smooth_share
 from craternav_fg.vision.rim_shading import RimShading
 
 PSF_PX = 0.7
@@ -22,12 +25,13 @@ def cross_section():
     return rho, slope, height - np.interp(1.0, rho, height)
 
 
-def crater(radius_px, emission_rad, sun_azimuth_rad, law):
+def crater(radius_px, emission_rad, sun_azimuth_rad, law, section=None):
     """Image of one crater that a camera above its -y side sees, its chart, px, and its shading.
 
-    The sun's azimuth is that from the direction away from the camera.
+    The sun's azimuth is that from the direction away from the camera. The cross-section is the canonical one
+    unless another is given.
     """
-    rho, slope, height = cross_section()
+    rho, slope, height = cross_section() if section is None else section
     x, y = np.cos(SUN_ELEVATION_RAD) * np.array([np.sin(sun_azimuth_rad), np.cos(sun_azimuth_rad)])
     sun = np.array([x, y, np.sin(SUN_ELEVATION_RAD)])
     view = np.array([0.0, -np.sin(emission_rad), np.cos(emission_rad)])
@@ -62,3 +66,23 @@ def crater(radius_px, emission_rad, sun_azimuth_rad, law):
     middle = 0.5 * (size - 1)
     axes = [middle, middle, radius_px, radius_px * np.cos(emission_rad), 0.0]
     return (100.0 / reference[0] * image).astype(np.float32), chart_of_axes(np.array(axes)), shading
+
+
+def errors_px(image, chart, shading):
+    """Shift of the rim along the ground towards the camera, and growth along and across that direction."""
+    size, radius_px, flat = len(image), np.exp(chart[2]), np.exp(chart[4] - chart[2])
+    camera = Camera(size, size, 1e3, 1e3, chart[0], chart[0], psf_sigma_px=PSF_PX)
+    edges = find_edge_points(
+        image, camera, chart, shading, radius_px * flat, 3.0, 0.0, EdgeOptions(), by_flanks=True
+    )
+    assert len(edges) > 0.8 * edges.tried > 30
+    points = edges.at_level(smooth_share(own_share(edges.evidence, 0.6))).points_px - chart[:2]
+    angle = np.arctan2(points[:, 1] / flat, points[:, 0])
+    c, s = np.cos(angle), np.sin(angle)
+    normal = np.column_stack([flat * c, s]) / np.hypot(flat * c, s)[:, None]
+    on_rim = radius_px * np.column_stack([c, flat * s])
+    off = np.sum((points - on_rim) * normal, axis=1)
+    x, y = normal.T
+    A = np.stack([flat * y, x, flat * y * s, x * c, x * s], axis=-1) / edges.sigma_ratio[:, None]
+    found = np.linalg.lstsq(A, off / edges.sigma_ratio, rcond=None)[0]
+    return found[[0, 2, 3]]

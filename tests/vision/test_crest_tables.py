@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from craternav_fg.camera import Camera
 from craternav_fg.photometry import LunarLambert
 from craternav_fg.vision.crest_tables import LIFTS, SLOPE_CONTRASTS, crest_tables
-from craternav_fg.vision.edges import EdgeOptions, find_edge_points
-from craternav_fg.vision.ground_level import own_share, smooth_share
-from tests.vision.oblique_crater import PSF_PX, crater, cross_section
+from craternav_fg.vision.edges import EdgeOptions
+from tests.vision.oblique_crater import PSF_PX, crater, cross_section, errors_px
 
 OPTIONS = EdgeOptions()
 TABLES = crest_tables(PSF_PX, OPTIONS.smoothing_px, OPTIONS.smoothing_share)
@@ -41,26 +39,6 @@ def test_crossings_against_a_blurred_crater(contrast, blur, lift):
     assert (SLOPE_CONTRASTS[j], LIFTS[k]) == pytest.approx((contrast, lift))
     found = np.interp(blur, TABLES.blurs, TABLES.crossings[:, j, k])
     assert found == pytest.approx(crossing - 1.0, abs=0.004)
-
-
-def errors_px(image, chart, shading):
-    """Shift of the rim along the ground towards the camera, and growth along and across that direction."""
-    size, radius_px, flat = len(image), np.exp(chart[2]), np.exp(chart[4] - chart[2])
-    camera = Camera(size, size, 1e3, 1e3, chart[0], chart[0], psf_sigma_px=PSF_PX)
-    edges = find_edge_points(
-        image, camera, chart, shading, radius_px * flat, 3.0, 0.0, OPTIONS, by_flanks=True
-    )
-    assert len(edges) > 0.8 * edges.tried > 30
-    points = edges.at_level(smooth_share(own_share(edges.evidence, 0.6))).points_px - chart[:2]
-    angle = np.arctan2(points[:, 1] / flat, points[:, 0])
-    c, s = np.cos(angle), np.sin(angle)
-    normal = np.column_stack([flat * c, s]) / np.hypot(flat * c, s)[:, None]
-    on_rim = radius_px * np.column_stack([c, flat * s])
-    off = np.sum((points - on_rim) * normal, axis=1)
-    x, y = normal.T
-    A = np.stack([flat * y, x, flat * y * s, x * c, x * s], axis=-1) / edges.sigma_ratio[:, None]
-    found = np.linalg.lstsq(A, off / edges.sigma_ratio, rcond=None)[0]
-    return found[[0, 2, 3]]
 
 
 @pytest.mark.parametrize("law", [LunarLambert(), LunarLambert(0.8, 0.0), LunarLambert(0.1, 0.0)])

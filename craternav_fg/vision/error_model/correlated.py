@@ -31,10 +31,10 @@ _GROWTH = [5, 6]
 # variance is multiplied by the factor already, so without a bound the added one grows with its square: on
 # rough ground of another renderer (`tests/foreign`), with factors of 10 to 25, to ten times the error.
 _MAX_EXCESS = 2.0
-# Slope contrasts below which shared errors grow, and the least that counts: rims with less are hardly measured.
-# Chosen: over 48 descents on three bodies with the sun 15 to 88 deg high the log-likelihood of the errors is
-# larger by 20 with the square of the inverse for shifts than with the inverse, whether from 0.5 or 0.8 on; for
-# growths the square makes it smaller.
+# Slope contrasts below which shared errors grow, and the least that counts: rims with less are hardly
+# measured. Chosen: over 48 descents on three bodies with the sun 15 to 88 deg high the log-likelihood of the
+# errors is larger by 20 with the square of the inverse for shifts than with the inverse, whether from 0.5 or
+# 0.8 on; for growths the square makes it smaller.
 _WEAK_CONTRAST, _WEAK_CONTRAST_OF_SHIFTS, _LEAST_CONTRAST = 1.0, 0.6, 0.1
 # Share of a variance that is left where all of it is taken away, so that roots exist.
 _LEAST_LEFT = 1e-9
@@ -46,9 +46,9 @@ class CorrelatedErrorOptions:
 
     All lengths in px are standard deviations at the rim, in the image; all shares are relative to the radius
     unless they are shares of a variance. Where slopes change the brightness little, as under a high sun, an
-    error of the brightness moves edges farther: lengths that all rims share are those for a large slope contrast
-    (see `photometry`). Below a contrast of 1 growths increase with its inverse; below 0.6 shifts increase with
-    the square, as the second order of the slope then outweighs the first.
+    error of the brightness moves edges farther: lengths that all rims share are those for a large slope
+    contrast (see `photometry`). Below a contrast of 1 growths increase with its inverse; below 0.6 shifts
+    increase with the square, as the second order of the slope then outweighs the first.
 
     Compared with rendered images by `craternav_fg.calibration.correlated_errors`, `arc_px` and `arc_share` by
     `craternav_fg.calibration.arcs`, which determine some of them and hardly the others, see

@@ -1,0 +1,121 @@
+"""How far the asymmetry of a rim crest displaces the crossing in a blurred image.
+
+Craters of three families, fresh to worn, are seen from above by a camera, by brightness in proportion to the
+slope: edges between walls and flanks that diffusion rounds (those of `crest_blur`), the simulator's
+hyperbolas, and logistic curves of the slope. Each shows what `vision.crest_asymmetry` reads: how far its
+crossing moves under more smoothing, and how fast the slope falls there over the step between the flanks.
+Where the crossing lies is regressed on both, with the same weight for each family. The tests' second world
+has no part in it.
+"""
+
+from functools import cache
+from itertools import product
+
+import numpy as np
+
+from craternav_fg.calibration.crest_blur import profiles
+from craternav_fg.calibration.regenerated import Regenerated, Relation
+from craternav_fg.simulation.crater_shape import crater_profile
+from craternav_fg.vision import crater_profile as canonical
+from craternav_fg.vision import crest_asymmetry as shipped
+from craternav_fg.vision.edge_kernel import SECOND_SMOOTHING_FACTOR
+from craternav_fg.vision.edges import EdgeOptions
+from craternav_fg.vision.normal_profile import flank_samples, sample_step, smoothing_px_at
+from factors.arrays import FloatArray
+
+# Radii of the rims and blur of the camera, px. Chosen.
+_RADII_PX, _PSF_PX = (12.0, 20.0, 35.0, 60.0), 0.7
+# Samples of a cross-section, in radii; depth of the craters, in radii; samples of a flank.
+_STEP_RADII, _DEPTH_RADII, _FLANK_SAMPLES = 0.002, 0.4, 50
+# The other families: depths, heights and widths of the crests, in radii; slopes of wall and flank, decay of
+# the flank and sharpness of the crest, 1/radii, and where the floor ends. Chosen: shallow to deep, fresh to
+# worn.
+_DEPTHS, _RIMS, _CRESTS = (0.2, 0.3, 0.4), (0.05, 0.075, 0.1), (0.015, 0.03, 0.06, 0.12, 0.24)
+_WALL_SLOPES, _FLANK_SLOPES, _DECAYS = (0.35, 0.5, 0.7), (0.12, 0.2, 0.3), (2.0, 3.0, 4.5)
+_SHARPNESSES, _FLOOR_RADIUS = (8.0, 16.0, 32.0, 64.0), 0.6
+_LEAST = 1e-9
+_HALF_DIGIT = 5e-4
+
+
+def crest_asymmetry() -> list[Regenerated]:
+    """Regenerate `vision.crest_asymmetry.DISPLACEMENT`.
+
+    Returns
+    -------
+    list of Regenerated
+    """
+    rows, displaced_px = [], []
+    for slopes in (_edges(), _hyperbolas(), _logistic()):
+        of_family = [row for slope in slopes for radius_px in _RADII_PX if (row := _row(slope, radius_px))]
+        share = len(of_family) ** -0.5
+        rows += [[share * term for term in terms] for terms, _ in of_family]
+        displaced_px += [share * displaced for _, displaced in of_family]
+    values = np.linalg.lstsq(np.array(rows), np.array(displaced_px), rcond=None)[0]
+    return [
+        Regenerated(f"crest_asymmetry.DISPLACEMENT: {name}", one, float(value), _HALF_DIGIT, Relation.EXACT)
+        for name, one, value in zip(("b", "b^2", "b ln n"), shipped.DISPLACEMENT, values, strict=True)
+    ]
+
+
+def _row(slope: FloatArray, radius_px: float) -> tuple[list[float], float] | None:
+    """Terms of the displacement and the displacement, px; None beyond what the terms tell apart."""
+    place, farther, steepness, fall = _seen(slope, radius_px)
+    own_place, own_farther, own_steepness, own_fall = _of_canonical(radius_px)
+    blunt = (farther - place) / (own_farther - own_place)
+    narrowness = max(fall, 0.0) / own_fall / (steepness / own_steepness)
+    terms = shipped.displacement_terms(blunt, narrowness)
+    if not np.allclose(terms, (blunt, blunt**2, blunt * np.log(max(narrowness, _LEAST)))):
+        return None
+    return [radius_px * own_place * term for term in terms], radius_px * place
+
+
+def _edges() -> list[FloatArray]:
+    """Slopes of walls and flanks that meet in edges, rounded by diffusion."""
+    heights = profiles(1.0, _STEP_RADII)
+    rho = (np.arange(heights.shape[1]) + 0.5) * _STEP_RADII
+    return [
+        np.interp(canonical.IMAGE_RADII, rho, _DEPTH_RADII * np.gradient(height, _STEP_RADII))
+        for height in heights
+    ]
+
+
+def _hyperbolas() -> list[FloatArray]:
+    """Slopes of the simulator's craters, whose crests are as round inside as outside."""
+    return [
+        np.gradient(
+            [crater_profile(rho, depth, rim, crest) for rho in canonical.IMAGE_RADII], canonical.STEP_RADII
+        )
+        for depth, rim, crest in product(_DEPTHS, _RIMS, _CRESTS)
+    ]
+
+
+def _logistic() -> list[FloatArray]:
+    """Slopes that go over from wall to flank along a logistic curve."""
+    x = canonical.IMAGE_RADII - 1.0
+    out = []
+    for wall, flank, decay, sharpness in product(_WALL_SLOPES, _FLANK_SLOPES, _DECAYS, _SHARPNESSES):
+        share = 1.0 / (1.0 + np.exp(-sharpness * x) * flank / wall)
+        rising = wall * np.minimum((1.0 + x) / _FLOOR_RADIUS, 1.0)
+        out.append((1.0 - share) * rising - share * flank * np.exp(-decay * np.maximum(x, 0.0)))
+    return out
+
+
+@cache
+def _of_canonical(radius_px: float) -> tuple[float, float, float, float]:
+    return _seen(canonical.seen_ground(0.0)[2], radius_px)
+
+
+def _seen(slope: FloatArray, radius_px: float) -> tuple[float, float, float, float]:
+    """Crossings at both smoothings beyond the crest, step between the flanks, fall at the first crossing."""
+    options = EdgeOptions()
+    smooth = smoothing_px_at(radius_px, options.smoothing_px, options.smoothing_share)
+    blurs = np.hypot([0.0, smooth, SECOND_SMOOTHING_FACTOR * smooth], _PSF_PX) / radius_px
+    raw, soft, softer = canonical.blurred(slope, blurs)
+    place = canonical.crossing(soft, 1.0)
+    farther = canonical.crossing(softer, place)
+    step = sample_step(radius_px)
+    gap, side = (n * step / radius_px for n in flank_samples(radius_px, step, smooth, _PSF_PX))
+    near = np.linspace(gap, gap + side, _FLANK_SAMPLES)
+    inner, outer = (np.interp(place + s * near, canonical.IMAGE_RADII, raw).mean() for s in (-1.0, 1.0))
+    fall = -np.interp(place, canonical.IMAGE_RADII, np.gradient(soft, canonical.STEP_RADII))
+    return place - 1.0, farther - 1.0, float(inner - outer), float(fall)
