@@ -28,27 +28,28 @@ candidates           candidates.TEMPLATE_SIZE_FACTOR               1.07    1.036
 ..                   detect.SUN_VOTE_CHANCE_SHARE                  0.22    at least 0.197 ± 0.001
 reference_brightness GuidedOptions.brightness_sigma_share          0.02    at least 0.011 ± 0.001
 ..                   blind_fit.BRIGHTNESS_SIGMA                    0.05    0.061 ± 0.008, confirmed
-rim_floor            GuidedOptions.level_scatter_share             0.09    0.124 ± 0.010, kept
-..                   level_rim_share                               0.12    0.142 ± 0.028, confirmed
-correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.65 ± 0.07, confirmed
-..                   brightness_share                              0.6     0.45 ± 0.18, not contradicted
-..                   camera_shift_px, px                           0.02    0.006 ± 0.006, not contradicted
-..                   sun_shift_px, px                              0.03    0.050 ± 0.013, not contradicted
-..                   stretch_px, px                                0.04    0.064 ± 0.013, confirmed
-..                   stretch_share, radii                          0.0001  0.00007 ± 0.00002, confirmed
-..                   size_px, px                                   0.04    0.038 ± 0.004, confirmed
-..                   size_share, radii                             0.003   0.0005 ± 0.0002, kept
-..                   RimErrorOptions.decay_shape_change            0.8     1.2 ± 0.4, not contradicted
-outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.53 ± 0.07, confirmed
+rim_floor            GuidedOptions.level_scatter_share             0.09    0.113 ± 0.007, kept
+..                   level_rim_share                               0.12    0.138 ± 0.023, confirmed
+correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.64 ± 0.05, confirmed
+..                   brightness_share                              0.6     0.49 ± 0.15, confirmed
+..                   camera_shift_px, px                           0.02    0.0025 ± 0.0030, kept
+..                   sun_shift_px, px                              0.03    0.041 ± 0.008, confirmed
+..                   stretch_px, px                                0.04    0.056 ± 0.014, not contradicted
+..                   stretch_share, radii                          0.00005 0.000053 ± 0.000012, confirmed
+..                   size_px, px                                   0.04    0.042 ± 0.005, confirmed
+..                   size_share, radii                             0.003   0.0006 ± 0.0003, kept
+..                   RimErrorOptions.decay_shape_change            0.8     0.9 ± 0.2, confirmed
+outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.54 ± 0.07, confirmed
 arcs                 CorrelatedErrorOptions.arc_px, px             0.1     0.03 ± 0.05, not contradicted
-..                   arc_share, radii                              0.006   0.0080 ± 0.0015, confirmed
-pooling              pooling.MEMORY                                1.0     1.9 ± 0.5, not contradicted
-..                   pooling.PRIOR_FRAMES                          2       0.04 ± 0.02, kept
-variance_inflation   correlated_errors.VARIANCE_INFLATION          4.4     3.525 ± 0.292, confirmed
+..                   arc_share, radii                              0.006   0.0079 ± 0.0014, confirmed
+pooling              pooling.MEMORY                                1.0     0.94 ± 0.23, confirmed
+..                   pooling.PRIOR_FRAMES                          2       0.0001 ± 0.0001, kept
+variance_inflation   correlated_errors.VARIANCE_INFLATION          4.4     3.30 ± 0.24, kept
 sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    -0.02 ± 0.34, not contradicted
 ..                   crater_floor_oblique_rad, squared, deg2       56      65 ± 19, not contradicted
 ..                   floor_rad, squared, deg2                      4       5.7 ± 1.1, confirmed
 ..                   floor_oblique_rad, squared, deg2              64      118 ± 45, not contradicted
+crest_asymmetry      crest_asymmetry.DISPLACEMENT                  table   exact
 crest_blur           crest_blur.LOG_FOUND, CREST_SPREAD            tables  exact
 robust_moments       ellipse_bias.PSI_VARIANCE                     1.0526  exact
 ..                   ellipse_bias.PSI_CURVATURE                    0.4428  exact

@@ -2,6 +2,9 @@
 
 The filter is run on simulated descents whose rims err as the error model says: white, time-correlated and
 shared. The inflation sought is that with which its mean squared normalised error is what it should be.
+
+It is kept larger. The smoothers treat what a crater keeps as white where only an arc of it is seen; over a
+map that states errors of 100 m the ANEES is 22 with an inflation of 4.0, and below 20 with 4.4.
 """
 
 import tempfile
@@ -10,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from craternav_fg.calibration.regenerated import Regenerated
+from craternav_fg.calibration.regenerated import Regenerated, Relation
 from craternav_fg.camera import Camera
 from craternav_fg.dataset import Dataset
 from craternav_fg.ellipse import pixel_chart, shape_change
@@ -41,6 +44,8 @@ _EDGE_SIGMA_PX = 0.15
 _IMU_RATE_HZ = 20.0
 # ANEES is interpolated between these, whose logarithms are evenly spaced.
 _INFLATIONS = np.array([2.0, 3.0, 4.5, 6.75])
+# What the data give.
+_KNOWN = 3.3
 # ANEES of a consistent pose.
 _CONSISTENT = 6.0
 
@@ -57,7 +62,8 @@ def variance_inflation() -> list[Regenerated]:
     # Jackknife.
     error = np.sqrt((_TRIALS - 1.0) * np.var(every))
     value = _consistent(by_trial.mean(axis=0))
-    return [Regenerated("correlated_errors.VARIANCE_INFLATION", VARIANCE_INFLATION, value, float(error))]
+    name = "correlated_errors.VARIANCE_INFLATION"
+    return [Regenerated(name, VARIANCE_INFLATION, value, float(error), Relation.KEPT, _KNOWN)]
 
 
 def _consistent(anees: FloatArray) -> float:

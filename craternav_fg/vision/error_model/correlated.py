@@ -93,7 +93,7 @@ class CorrelatedErrorOptions:
     camera_shift_px: float = 0.02
     sun_shift_px: float = 0.03
     stretch_px: float = 0.04
-    stretch_share: float = 0.0001
+    stretch_share: float = 0.00005
     size_px: float = 0.04
     size_share: float = 0.003
     brightness_share: float = 0.6
