@@ -117,7 +117,7 @@ def _edge_between_flanks(
 def trace_rim(
     image: ImageArray, chart_px: FloatArray, shading: RimShading, reach_px: float, smoothing_share: float,
     smoothing_px: float, psf_px: float, min_slope_contrast: float, min_step: float, noise_step: float,
-    count: int, tables: CrestTables, lens: FloatArray, ground: FloatArray, by_flanks: bool,
+    count: int, tables: CrestTables, lens: FloatArray, ground: FloatArray, thorough: bool,
 ) -> tuple[FloatArray, FloatArray, FloatArray, int, float, FloatArray, FloatArray]:  # fmt: skip
     """Find the edge points of one rim.
 
@@ -151,8 +151,8 @@ def trace_rim(
     ground : ndarray, shape (5,)
         Level of the ground around the rim that the edge is searched at, see `ground_level.smooth_level`; zero
         for the reference all around.
-    by_flanks : bool
-        Whether an edge is searched by its flanks alone where the brightness crosses no reference.
+    thorough : bool
+        See `edges.find_edge_points`.
 
     Returns
     -------
@@ -258,7 +258,7 @@ def trace_rim(
                     elif score > second:
                         second = score
             here = after
-        lost[found] = by_flanks and best == 0.0
+        lost[found] = thorough and best == 0.0
         if lost[found]:
             best, second, where, fall = _edge_between_flanks(
                 raw, soft, n_reach, n_side, gap, reach_px / step, least
@@ -266,7 +266,7 @@ def trace_rim(
             fall /= step
         if not (best > 0.0 and second < _MAX_SECOND_SCORE * best):
             continue
-        if not lost[found]:
+        if thorough and not lost[found]:
             i = int(where)
             where = i + crossing_between(soft[i - 1], soft[i], soft[i + 1], soft[i + 2])
         brightest = 0.0
@@ -281,7 +281,7 @@ def trace_rim(
             sharp += np.abs(contrast) * fall * h
             canonical += contrast * contrast * expected_fall(tables, blur)
         wide = SECOND_SMOOTHING_FACTOR * smooth
-        again = crossing_near(raw, where, n_side + n_side // 2, wide_kernel)
+        again = crossing_near(raw, where, n_side + n_side // 2, wide_kernel, thorough)
         blur = np.sqrt(wide * wide + psf_px * psf_px) / h
         wide_odd, wide_of_sharp, wide_turned = crossing_parts(tables, view, blur)
         shapes[found, 2], shapes[found, 3] = h * (wide_odd - odd), h * (wide_of_sharp - of_sharp)
@@ -312,7 +312,9 @@ def trace_rim(
     fall_share = sharp / canonical
     sharpness = min(max(fall_share / max(steepness, 1.0), _LEAST_SHARPNESS), _LARGEST_SHARPNESS)
     blunt = bluntness(moved[:found], shapes[:found, 2], shapes[:found, 3], contrasts[:found], sharpness)
-    displaced = displacement_share(blunt, fall_share / max(steepness, _LEAST_STEEPNESS))
+    displaced = blunt
+    if thorough:
+        displaced = displacement_share(blunt, fall_share / max(steepness, _LEAST_STEEPNESS))
     first[:found] -= displaced * shapes[:found, 0] + sharpness * shapes[:found, 1]
     level = np.zeros(found)
     evidence = np.zeros(2)

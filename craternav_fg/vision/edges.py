@@ -111,7 +111,7 @@ def find_edge_points(
     options: EdgeOptions,
     ground: FloatArray | None = None,
     *,
-    by_flanks: bool = False,
+    thorough: bool = False,
 ) -> EdgePoints:
     """Find the edge points of one predicted rim.
 
@@ -132,8 +132,10 @@ def find_edge_points(
     options : EdgeOptions
     ground : ndarray, shape (5,), optional
         Level of the ground around the rim, see `level_around`; that of the reference if not given.
-    by_flanks : bool
-        Whether an edge is searched by its flanks alone where the brightness crosses no reference.
+    thorough : bool
+        Whether the rim is measured and not only found: an edge is also searched by its flanks alone, where
+        the brightness crosses no reference; its place between samples follows a cubic, and its displacement
+        by blur depends on how narrow the crest is. Edges of faint rims scatter more by that.
 
     Returns
     -------
@@ -146,7 +148,7 @@ def find_edge_points(
         image, chart_px, shading, reach_px, options.smoothing_share, options.smoothing_px,
         camera.psf_sigma_px, options.min_slope_contrast, options.min_step_share, noise_step, count,
         options.crest_tables(camera.psf_sigma_px), camera.lens,
-        np.zeros(LEVEL_TERMS) if ground is None else ground, by_flanks,
+        np.zeros(LEVEL_TERMS) if ground is None else ground, thorough,
     )  # fmt: skip
     return EdgePoints(points, ratio, motion, level, evidence, tried, count)
 

@@ -212,7 +212,7 @@ def crossing_between(before: float, here: float, after: float, beyond: float) ->
 
 
 @njit(cache=True, error_model="numpy")
-def crossing_near(raw: FloatArray, start: float, reach: int, kernel: FloatArray) -> float:
+def crossing_near(raw: FloatArray, start: float, reach: int, kernel: FloatArray, curved: bool) -> float:
     """Find where the smoothed profile falls through zero nearest a place.
 
     Parameters
@@ -225,6 +225,8 @@ def crossing_near(raw: FloatArray, start: float, reach: int, kernel: FloatArray)
         How far from it is searched, in samples.
     kernel : ndarray, shape (k,)
         See `half_gaussian`.
+    curved : bool
+        Whether the place between samples is that of `crossing_between` or on a line.
 
     Returns
     -------
@@ -239,8 +241,11 @@ def crossing_near(raw: FloatArray, start: float, reach: int, kernel: FloatArray)
     for i in range(low, high + 1):
         after = _smoothed(raw, i + 1, kernel)
         if here > 0.0 and after <= 0.0:
-            before, beyond = _smoothed(raw, max(i - 1, 0), kernel), _smoothed(raw, min(i + 2, last), kernel)
-            place = i + crossing_between(before, here, after, beyond)
+            place = i + here / (here - after)
+            if curved:
+                before = _smoothed(raw, max(i - 1, 0), kernel)
+                beyond = _smoothed(raw, min(i + 2, last), kernel)
+                place = i + crossing_between(before, here, after, beyond)
             if not np.abs(place - start) > np.abs(best - start):
                 best = place
         here = after

@@ -77,7 +77,7 @@ class RimFitter:
         reach_px: float,
         ground: FloatArray | None = None,
         *,
-        by_flanks: bool = False,
+        thorough: bool = False,
     ) -> EdgePoints:
         """Find the edge points of one rim.
 
@@ -90,7 +90,7 @@ class RimFitter:
             Half length of the searched normals.
         ground : ndarray, shape (5,), optional
             See `find_edge_points`.
-        by_flanks : bool
+        thorough : bool
             See `find_edge_points`.
         """
         minor_px = rims.smallest_radius_px(i)
@@ -104,7 +104,7 @@ class RimFitter:
             self._noise,
             self._options.edges,
             ground,
-            by_flanks=by_flanks,
+            thorough=thorough,
         )
 
     def fit(
@@ -138,7 +138,7 @@ class RimFitter:
         least = opt.min_found_share if min_found_share is None else min_found_share
         enough: list[tuple[int, EdgePoints]] = []
         for i in range(len(rims)):
-            traced = self.trace(rims, i, float(reach_px[i]), by_flanks=not rough)
+            traced = self.trace(rims, i, float(reach_px[i]), thorough=not rough)
             if traced.tried < _MIN_TRIED_SHARE * traced.normals:
                 continue
             if len(traced) < least * traced.tried:
@@ -202,7 +202,7 @@ class RimFitter:
             )  # fmt: skip
             moved_px = np.abs(level).sum() * float(np.median(np.linalg.norm(by_rim[i].motion, axis=1)))
             if moved_px > _MIN_MOVED_PX:
-                traced = self.trace(rims, i, float(reach_px[i]), level, by_flanks=True)
+                traced = self.trace(rims, i, float(reach_px[i]), level, thorough=True)
                 if len(traced) >= _MIN_KEPT_SHARE * len(by_rim[i]):
                     by_rim[i] = traced
                     again.append((i, traced))

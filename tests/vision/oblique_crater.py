@@ -73,7 +73,7 @@ def errors_px(image, chart, shading):
     size, radius_px, flat = len(image), np.exp(chart[2]), np.exp(chart[4] - chart[2])
     camera = Camera(size, size, 1e3, 1e3, chart[0], chart[0], psf_sigma_px=PSF_PX)
     edges = find_edge_points(
-        image, camera, chart, shading, radius_px * flat, 3.0, 0.0, EdgeOptions(), by_flanks=True
+        image, camera, chart, shading, radius_px * flat, 3.0, 0.0, EdgeOptions(), thorough=True
     )
     assert len(edges) > 0.8 * edges.tried > 30
     points = edges.at_level(smooth_share(own_share(edges.evidence, 0.6))).points_px - chart[:2]

@@ -52,7 +52,7 @@ def trace(
     min_slope_contrast=0.12,
     reference=REFERENCE,
     ground=EVEN,
-    by_flanks=False,
+    thorough=False,
     gradient=LEVEL,
 ):
     return edge_kernel.trace_rim(
@@ -70,7 +70,7 @@ def trace(
         tables(),
         PLAIN,
         ground,
-        by_flanks,
+        thorough,
     )[:5]
 
 

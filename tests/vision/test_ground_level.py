@@ -50,10 +50,10 @@ def crater(albedo=1.0, contrast=SLOPE_CONTRAST):
     return (REFERENCE * albedo * light / np.sqrt(1.0 + slope**2)).astype(np.float32)
 
 
-def trace(image, ground=None, *, by_flanks=False):
+def trace(image, ground=None, *, thorough=False):
     options = EdgeOptions(min_slope_contrast=0.4)
     return find_edge_points(
-        image, CAMERA, CHART, SHADING, RADIUS_PX, 4.0, 0.0, options, ground, by_flanks=by_flanks
+        image, CAMERA, CHART, SHADING, RADIUS_PX, 4.0, 0.0, options, ground, thorough=thorough
     )
 
 
@@ -138,15 +138,16 @@ def test_edges_that_a_patch_moves_outwards_are_found_as_those_moved_inwards():
         return off_px[clear & (way > 0.0)], off_px[clear & (way < 0.0)]
 
     before, _ = found(trace(image))
-    outwards, inwards = found(trace(image, by_flanks=True).at_level(1.0))
+    outwards, inwards = found(trace(image, thorough=True).at_level(1.0))
     assert len(before) < 0.5 * len(outwards)
     assert len(outwards) > 0.9 * len(inwards)
     assert np.mean(np.concatenate([outwards, inwards])) == pytest.approx(0.0, abs=0.3)
 
 
 def test_even_ground_needs_no_edges_by_flanks_alone():
-    even, lost = trace(crater()), trace(crater(), by_flanks=True)
-    np.testing.assert_array_equal(lost.points_px, even.points_px)
+    even, lost = trace(crater()), trace(crater(), thorough=True)
+    # The same edges, which a thorough search places between samples by a cubic.
+    np.testing.assert_allclose(lost.points_px, even.points_px, atol=0.06)
 
 
 def test_the_smooth_share_is_the_larger_one():
