@@ -19,7 +19,7 @@ _BLUNTNESS_PRIOR_PX2 = 0.1
 _LEAST_BLUNTNESS, _LARGEST_BLUNTNESS = -0.5, 2.0
 _LEAST_NARROWNESS, _LARGEST_NARROWNESS = 0.6, 3.0
 # Displacement over the canonical crater's: coefficients of b, b^2 and b ln n, with the bluntness b and the
-# narrowness n. Fitted over a family of profiles by `craternav_fg.calibration.crest_asymmetry`.
+# narrowness n. Fitted over three families of crests by `craternav_fg.calibration.crest_asymmetry`.
 DISPLACEMENT = (0.771, 0.307, 0.305)
 
 
