@@ -25,8 +25,7 @@ DISPLACEMENT = (0.771, 0.307, 0.305)
 
 @njit(cache=True, error_model="numpy")
 def bluntness(
-    moved_px: FloatArray, expected_px: FloatArray, of_sharp_px: FloatArray, contrasts: FloatArray,
-    sharpness: float,
+    moved_px: FloatArray, expected_px: FloatArray, others_px: FloatArray, contrasts: FloatArray
 ) -> float:  # fmt: skip
     """Compare how far crossings move under more smoothing with the canonical crater's.
 
@@ -34,13 +33,11 @@ def bluntness(
     ----------
     moved_px : ndarray, shape (n,)
         Outward motion of the crossings.
-    expected_px, of_sharp_px : ndarray, shape (n,)
-        Motion of the canonical crater's: what its asymmetry does, and what is in proportion to the curvature
-        of its crest, see `crest_tables.crossing_parts`.
+    expected_px, others_px : ndarray, shape (n,)
+        Motion that the asymmetry of the canonical crater makes, and that which the second order of the slope
+        and the lift make, see `crest_tables.crossing_parts`.
     contrasts : ndarray, shape (n,)
         Slope contrast across the rim.
-    sharpness : float
-        Curvature of the crest over the canonical crater's.
 
     Returns
     -------
@@ -49,7 +46,7 @@ def bluntness(
     """
     dot, square = _BLUNTNESS_PRIOR_PX2, _BLUNTNESS_PRIOR_PX2
     for i in range(len(moved_px)):
-        moved = moved_px[i] - sharpness * of_sharp_px[i]
+        moved = moved_px[i] - others_px[i]
         # False where the crossing is lost under more smoothing.
         if np.abs(moved) < 4.0 * np.abs(expected_px[i]) + 0.5:
             weight = contrasts[i] * contrasts[i]

@@ -164,31 +164,55 @@ def of_lambertian(view: NormalView) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def crossing_parts(tables: CrestTables, view: NormalView, blur: float) -> tuple[float, float, float]:
-    """Compute the outward displacement of the canonical crater's crossing, in parts.
+def crossing_parts(
+    tables: CrestTables, contrast: float, lift: float, blur: float, steepness: float
+) -> tuple[float, float, float]:
+    """Compute the outward displacement of a crossing, in parts.
+
+    The crater is the canonical one with all heights times the steepness: what the second order of the slope
+    does relative to the first, and how far heights are displaced, is larger by as much.
 
     Parameters
     ----------
     tables : CrestTables
-    view : NormalView
+    contrast : float
+        Slope contrast of Lambertian ground, see `of_lambertian`.
+    lift : float
+        Outward displacement in the image, in radii, of ground that is higher by a radius.
     blur : float
         Standard deviation, in radii.
+    steepness : float
+        Over the canonical crater's.
 
     Returns
     -------
     odd : float
         In radii: what the asymmetry of the crest does, whichever side is bright and wherever the camera is.
         It depends on the shape of the crest alone, as this does not on its steepness.
-    sharp : float
-        What the second order of the slope and the lift do: in proportion to the curvature of the crest.
-    turned : float
-        What the contrast does that changes along the normal, whatever the crest.
+    bent : float
+        What the second order of the slope does: also in proportion to how narrow the crest is.
+    lifted : float
+        What the lift does.
     """
-    contrast = of_lambertian(view)
-    above = _between(tables, blur, contrast, 0.0)
-    odd = 0.5 * (above + _between(tables, blur, -contrast, 0.0))
+    above, below = _between(tables, blur, contrast, 0.0), _between(tables, blur, -contrast, 0.0)
+    lifted = steepness * (_between(tables, blur, contrast, lift) - above)
+    # Of steeper slopes one is in the shadow before the brightness of the other bends any more.
+    bends = min(steepness, max(_FIRST_SHADOWS / np.abs(contrast), 1.0))
+    return 0.5 * (above + below), 0.5 * bends * (above - below), lifted
+
+
+@njit(cache=True, error_model="numpy")
+def turning(view: NormalView, blur: float) -> float:
+    """Compute the outward displacement of a crossing where the contrast changes along the normal, in radii.
+
+    Parameters
+    ----------
+    view : NormalView
+    blur : float
+        Standard deviation, in radii.
+    """
     along = min(max(view.along / view.contrast, -_MOST_ALONG), _MOST_ALONG)
-    return odd, _between(tables, blur, contrast, view.lift) - odd, -along * view.lean * blur * blur
+    return -along * view.lean * blur * blur
 
 
 @njit(cache=True, error_model="numpy")
@@ -207,10 +231,10 @@ def expected_fall(tables: CrestTables, blur: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def flank_terms(
-    tables: CrestTables, light: RimLight, view: NormalView, radius_px: float, slopes: FloatArray,
-    bends: FloatArray,
+    tables: CrestTables, light: RimLight, view: NormalView, radius_px: float, steepness: float,
+    slopes: FloatArray, bends: FloatArray,
 ) -> None:  # fmt: skip
-    """Compute what the canonical crater's flanks show.
+    """Compute what the flanks of a crater show that is the canonical one, all heights times the steepness.
 
     Parameters
     ----------
@@ -219,25 +243,27 @@ def flank_terms(
     view : NormalView
     radius_px : float
         Radius along the normal.
+    steepness : float
     slopes, bends : ndarray, shape (2,)
         Written, of the inner wall and of the outer slope: mean slope as seen from above, and relative
         brightness, less 1, beyond the contrast times that slope.
     """
     i, u = _cell(tables.inverse_radii_px, 1.0 / radius_px)
     above, none = _cell(tables.lifts, 0.0)
-    k, w = _cell(tables.lifts, view.lift)
+    k, w = _cell(tables.lifts, steepness * view.lift)
     strength = np.hypot(light.contrast[0], light.contrast[1])
     lit = min(max((_ALL_SHADOWS - strength) / (_ALL_SHADOWS - _FIRST_SHADOWS), 0.0), 1.0)
     for side in range(2):
         excess, slope, square = 0.0, 0.0, 0.0
         for node in range(_NODES):
             table = tables.flanks[:, :, side, node]
-            square += _bilinear(table[:, :, 2], i, above, u, none) ** 2
-            slope += _bilinear(table[:, :, 2], i, above, u, none)
+            square += (steepness * _bilinear(table[:, :, 2], i, above, u, none)) ** 2
+            slope += steepness * _bilinear(table[:, :, 2], i, above, u, none)
             distance = _bilinear(table[:, :, 0], i, k, u, w)
-            height = _bilinear(table[:, :, 1], i, k, u, w)
+            height = steepness * _bilinear(table[:, :, 1], i, k, u, w)
             turn = view.lean * distance - view.lift_along * height
-            excess += relative_brightness(light, view, turn, _bilinear(table[:, :, 2], i, k, u, w)) - 1.0
+            seen = steepness * _bilinear(table[:, :, 2], i, k, u, w)
+            excess += relative_brightness(light, view, turn, seen) - 1.0
         slopes[side] = slope / _NODES
         of_law = excess / _NODES - view.contrast * slopes[side]
         bends[side] = lit * of_law + (1.0 - lit) * view.curvature * square / _NODES

@@ -3,7 +3,14 @@
 import numpy as np
 
 from craternav_fg.vision.crest_asymmetry import bluntness, displacement_share
-from craternav_fg.vision.crest_tables import CrestTables, crossing_parts, expected_fall, flank_terms
+from craternav_fg.vision.crest_tables import (
+    CrestTables,
+    crossing_parts,
+    expected_fall,
+    flank_terms,
+    of_lambertian,
+    turning,
+)
 from craternav_fg.vision.ground_level import (
     evidence_of_level,
     level_at,
@@ -26,6 +33,8 @@ from craternav_fg.vision.normal_profile import (
 )
 from craternav_fg.vision.rim_geometry import back_through_lens, distorts, rim_point, through_lens
 from craternav_fg.vision.rim_shading import (
+    NormalView,
+    RimLight,
     RimShading,
     contrast_across,
     normal_view,
@@ -45,13 +54,14 @@ SECOND_SMOOTHING_FACTOR = 2.2
 # slope direction, which the prediction does not know, outweigh the noise of the pixels. Chosen on rendered
 # ground.
 _FLAT_CONTRAST_SHARE = 0.35
-# Prior weight of the canonical crater's curvature of the crest, 1/radii, for a slope contrast of 1 all
-# around; and the range of the curvature over the canonical crater's.
-_SHARPNESS_PRIOR = 1.0
-_LEAST_SHARPNESS, _LARGEST_SHARPNESS = 0.2, 2.0
-# Least steepness that the fall at the crest is compared with: of less, the step between the flanks tells
-# nothing.
-_LEAST_STEEPNESS = 0.2
+# Prior weight of the canonical crater's fall of the slope at the crest, 1/radii, for a slope contrast of 1
+# all around; and the range of how narrow a crest is, see `crest_asymmetry.displacement_terms`.
+_FALL_PRIOR = 1.0
+_LEAST_NARROW, _MOST_NARROW = 0.2, 3.0
+# Range of the steepness over the canonical crater's: of less, the step between the flanks tells nothing.
+_LEAST_STEEPNESS, _MOST_STEEPNESS = 0.2, 2.5
+# Terms of a normal that are kept: its view and its radius.
+_NORMAL_TERMS = 9
 # An edge is ambiguous if the second best one on its normal scores more than this share of the best.
 _MAX_SECOND_SCORE = 0.75
 # Share of the step from the outer slope to the inner wall at which an edge is searched without a reference,
@@ -111,6 +121,78 @@ def _edge_between_flanks(
                 second = score
         here = after
     return best, second, where, fall
+
+
+@njit(cache=True, error_model="numpy")
+def _keep(view: NormalView, radius_px: float, out: FloatArray) -> None:
+    """Write a view and the radius along its normal, px, to an array (9,)."""
+    out[0], out[1], out[2], out[3] = view.cosine, view.sine, view.contrast, view.along
+    out[4], out[5], out[6], out[7] = view.curvature, view.lift, view.lift_along, view.lean
+    out[8] = radius_px
+
+
+@njit(cache=True, error_model="numpy")
+def _kept(row: FloatArray) -> NormalView:
+    """Return the view of an array (9,), see `_keep`."""
+    return NormalView(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7])
+
+
+@njit(cache=True, error_model="numpy")
+def _flanks_of_steepness(
+    tables: CrestTables, light: RimLight, normals: FloatArray, flanks: FloatArray, slopes: FloatArray,
+    bends: FloatArray,
+) -> float:  # fmt: skip
+    """Compute what flanks (n, 2) show whose step is that which is seen, see `flank_terms`.
+
+    Views (n, 9) are those of `_keep`; slopes and bends (n, 2) are written. Returns the steepness, over the
+    canonical crater's.
+    """
+    count = len(normals)
+    contrasts = normals[:, 2]
+    steepness, step = 1.0, 1.0
+    for _ in range(2):
+        steepness = min(max(steepness * step, _LEAST_STEEPNESS), _MOST_STEEPNESS)
+        for i in range(count):
+            flank_terms(tables, light, _kept(normals[i]), normals[i, 8], steepness, slopes[i], bends[i])
+        step = steepness_of_flanks(flanks, contrasts, slopes[:count], bends[:count])
+    return steepness * step
+
+
+@njit(cache=True, error_model="numpy")
+def _crossing_shapes(
+    tables: CrestTables, normals: FloatArray, blurs: FloatArray, narrow: float, steepness: float
+) -> FloatArray:
+    """Compute outward displacements of crossings, px, for a crest like the canonical one but for its wear.
+
+    Parameters
+    ----------
+    tables : CrestTables
+    normals : ndarray, shape (n, 9)
+        See `_keep`.
+    blurs : ndarray, shape (n, 2)
+        Standard deviations of the blur at both smoothings, in radii.
+    narrow : float
+        See `crest_asymmetry.displacement_terms`.
+    steepness : float
+        Over the canonical crater's.
+
+    Returns
+    -------
+    ndarray, shape (n, 4)
+        What the asymmetry does and what the second order and the lift do; the same two again, for the motion
+        from the first smoothing to the second.
+    """
+    out = np.empty((len(blurs), 4))
+    narrow = min(max(narrow, _LEAST_NARROW), _MOST_NARROW)
+    steepness = min(max(steepness, _LEAST_STEEPNESS), _MOST_STEEPNESS)
+    for i in range(len(blurs)):
+        view, h = _kept(normals[i]), normals[i, 8]
+        for k in range(2):
+            odd, bent, lifted = crossing_parts(tables, of_lambertian(view), view.lift, blurs[i, k], steepness)
+            out[i, 2 * k], out[i, 2 * k + 1] = h * odd, h * (narrow * bent + lifted)
+        out[i, 2] -= out[i, 0]
+        out[i, 3] -= out[i, 1]
+    return out
 
 
 @njit(cache=True, error_model="numpy")
@@ -179,7 +261,7 @@ def trace_rim(
     normal = np.empty((count, 2))
     first = np.empty(count)
     contrasts = np.empty(count)
-    shapes, moved = np.empty((count, 4)), np.empty(count)
+    normals, blurs, moved = np.empty((count, _NORMAL_TERMS)), np.empty((count, 2)), np.empty(count)
     angles = np.empty(count)
     flanks, slopes, bends = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
     near = np.empty((count, 2 * MAX_SIDE_SAMPLES + 2))
@@ -189,7 +271,7 @@ def trace_rim(
     falls = np.empty(count)
     lost = np.zeros(count, np.bool_)
     found, tried, largest = 0, 0, 0.0
-    sharp, canonical = _SHARPNESS_PRIOR, _SHARPNESS_PRIOR
+    seen_fall, canonical = _FALL_PRIOR, _FALL_PRIOR
     q = np.empty(6)
     bent = distorts(lens)
     light = rim_light(chart_px, shading)
@@ -275,22 +357,19 @@ def trace_rim(
         if brightest > SATURATED_BRIGHTNESS:
             continue
         blur = np.sqrt(smooth * smooth + psf_px * psf_px) / h
-        odd, of_sharp, turned = crossing_parts(tables, view, blur)
-        shapes[found, 0], shapes[found, 1] = h * odd, h * of_sharp
+        blurs[found, 0] = blur
         if not lost[found]:
-            sharp += np.abs(contrast) * fall * h
+            seen_fall += np.abs(contrast) * fall * h
             canonical += contrast * contrast * expected_fall(tables, blur)
         wide = SECOND_SMOOTHING_FACTOR * smooth
         again = crossing_near(raw, where, n_side + n_side // 2, wide_kernel, thorough)
-        blur = np.sqrt(wide * wide + psf_px * psf_px) / h
-        wide_odd, wide_of_sharp, wide_turned = crossing_parts(tables, view, blur)
-        shapes[found, 2], shapes[found, 3] = h * (wide_odd - odd), h * (wide_of_sharp - of_sharp)
-        moved[found] = (again - where) * step - h * (wide_turned - turned)
+        blurs[found, 1] = np.sqrt(wide * wide + psf_px * psf_px) / h
+        moved[found] = (again - where) * step - h * (turning(view, blurs[found, 1]) - turning(view, blur))
         points[found, 0] = q[0]
         points[found, 1] = q[1]
         normal[found, 0] = q[2]
         normal[found, 1] = q[3]
-        first[found] = (where - half) * step + 0.5 * psf_px * psf_px * q[5] - h * turned
+        first[found] = (where - half) * step + 0.5 * psf_px * psf_px * q[5] - h * turning(view, blur)
         ratio[found] = shrinks
         contrasts[found] = contrast
         largest = max(largest, np.abs(contrast))
@@ -300,7 +379,7 @@ def trace_rim(
         middle = int(where)
         flanks[found, 0] = sign * mean_between(raw, middle - gap - n_side + 1, middle - gap + 1)
         flanks[found, 1] = sign * mean_between(raw, middle + 1 + gap, middle + 1 + gap + n_side)
-        flank_terms(tables, light, view, h, slopes[found], bends[found])
+        _keep(view, h, normals[found])
         for j in range(2 * n_side + 2):
             near[found, j] = soft[middle - n_side + j]
         sides[found] = n_side
@@ -308,14 +387,13 @@ def trace_rim(
         steps[found] = step
         falls[found] = sign * fall
         found += 1
-    steepness = steepness_of_flanks(flanks[:found], contrasts[:found], slopes[:found], bends[:found])
-    fall_share = sharp / canonical
-    sharpness = min(max(fall_share / max(steepness, 1.0), _LEAST_SHARPNESS), _LARGEST_SHARPNESS)
-    blunt = bluntness(moved[:found], shapes[:found, 2], shapes[:found, 3], contrasts[:found], sharpness)
-    displaced = blunt
-    if thorough:
-        displaced = displacement_share(blunt, fall_share / max(steepness, _LEAST_STEEPNESS))
-    first[:found] -= displaced * shapes[:found, 0] + sharpness * shapes[:found, 1]
+    steepness = _flanks_of_steepness(tables, light, normals[:found], flanks[:found], slopes, bends)
+    fall_share = seen_fall / canonical
+    narrow = fall_share / max(steepness, _LEAST_STEEPNESS)
+    shapes = _crossing_shapes(tables, normals[:found], blurs[:found], narrow, steepness)
+    blunt = bluntness(moved[:found], shapes[:, 2], shapes[:, 3], contrasts[:found])
+    displaced = displacement_share(blunt, narrow) if thorough else blunt
+    first[:found] -= displaced * shapes[:, 0] + shapes[:, 1]
     level = np.zeros(found)
     evidence = np.zeros(2)
     if found > 0:
@@ -379,6 +457,7 @@ def flanks_around(
     """
     angles, contrasts = np.empty(count), np.empty(count)
     flanks, slopes, bends = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
+    normals = np.empty((count, _NORMAL_TERMS))
     q = np.empty(6)
     bent = distorts(lens)
     light = rim_light(chart_px, shading)
@@ -395,8 +474,9 @@ def flanks_around(
         step = sample_step(h)
         smooth = smoothing_px_at(h, smoothing_px, smoothing_share)
         gap, n_side = flank_samples(h, step, smooth, psf_px)
-        odd, of_sharp, turned = crossing_parts(tables, view, np.sqrt(smooth * smooth + psf_px * psf_px) / h)
-        shift = h * (odd + of_sharp + turned) / step
+        blur = np.sqrt(smooth * smooth + psf_px * psf_px) / h
+        odd, bent, lifted = crossing_parts(tables, of_lambertian(view), view.lift, blur, 1.0)
+        shift = h * (odd + bent + lifted + turning(view, blur)) / step
         half = gap + n_side + int(np.abs(shift)) + 2
         if 2 * half + 1 > len(samples):
             samples = np.empty(4 * half)
@@ -410,6 +490,7 @@ def flanks_around(
             continue
         angles[found], contrasts[found] = angle, view.contrast
         flanks[found, 0], flanks[found, 1] = inner / local - 1.0, outer / local - 1.0
-        flank_terms(tables, light, view, h, slopes[found], bends[found])
+        _keep(view, h, normals[found])
         found += 1
+    _flanks_of_steepness(tables, light, normals[:found], flanks[:found], slopes, bends)
     return angles[:found], flanks[:found], contrasts[:found], slopes[:found], bends[:found]

@@ -465,7 +465,7 @@ def test_rims_do_not_follow_their_predictions():
     catalog = replace(taken.catalog, errors=errors)
     views = [View(taken.image, taken.gTb, taken.sun_g)]
     rng = np.random.default_rng(0)
-    pairs = [(moved_at_random(catalog, rng), moved_at_random(catalog, rng)) for _ in range(4)]
+    pairs = [(moved_at_random(catalog, rng), moved_at_random(catalog, rng)) for _ in range(12)]
 
     def mean_slope(options):
         found = [pull(views, taken.camera, maps, options) for maps in pairs]
