@@ -12,8 +12,8 @@ from factors.kernels.compiled import njit
 
 # A predicted shape farther than this from the measured one, in standard deviations, is not believed.
 EXPECTED_SIGMAS = 5.0
-# Most unknowns of a rim's time-correlated error: five in the rim's plane, and its height.
-CORRELATED_SIZE = 6
+# Most unknowns of a rim's time-correlated error: five in the rim's plane, its height, and the plane's slopes.
+CORRELATED_SIZE = 8
 # Unknowns of the error that all rims of a descent share, see `vision.error_model.correlated`.
 SHARED_SIZE = 8
 
@@ -110,10 +110,10 @@ class RimSet:
     quality : RimQuality or None
         None when the rims were not measured in an image.
     correlated : ndarray, shape (n, 5, m), optional
-        Root A of the time-correlated part A A' of the covariance, with m of 5 or 6. The error is A z, with a
-        z per crater that hardly changes from frame to frame, so the columns belong to directions fixed to the
-        ground: five in the rim's plane, of which the first two displace it, and its height. None when no such
-        part is known.
+        Root A of the time-correlated part A A' of the covariance, with m of 5, 6 or 8. The error is A z, with
+        a z per crater that hardly changes from frame to frame, so the columns belong to directions fixed to
+        the ground: five in the rim's plane, of which the first two displace it, its height, and the two
+        slopes of its plane. None when no such part is known.
     shared : ndarray, shape (n, 5, 8), optional
         Root A of the common part of the covariance: the error is A z, with one z for all rims and frames.
         None when no such part is known.

@@ -32,7 +32,7 @@ rim_floor            GuidedOptions.level_scatter_share             0.09    0.113
 ..                   level_rim_share                               0.12    0.138 ± 0.023, confirmed
 correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.64 ± 0.05, confirmed
 ..                   brightness_share                              0.6     0.49 ± 0.15, confirmed
-..                   camera_shift_px, px                           0.02    0.0025 ± 0.0030, kept
+..                   camera_shift_px, px                           0.03    0.0025 ± 0.0030, kept
 ..                   sun_shift_px, px                              0.03    0.041 ± 0.008, confirmed
 ..                   stretch_px, px                                0.04    0.056 ± 0.014, not contradicted
 ..                   stretch_share, radii                          0.00005 0.000053 ± 0.000012, confirmed
@@ -60,14 +60,15 @@ robust_moments       ellipse_bias.PSI_VARIANCE                     1.0526  exact
 crest_heights        heights.CREST_SHARE                           0.021   0.0233 ± 0.0023, confirmed
 ..                   heights.CREST_SIGMA_SHARE                     0.014   0.0175 ± 0.0016, confirmed
 ..                   heights.CREST_STEPS                           5       2.3 ± 1.0, not contradicted
+rim_tilts            CorrelatedErrorOptions.map_tilt_rad, rad      0.04    0.042 ± 0.010, confirmed
 ==================== ============================================= ======= ================================
 
-`crest_heights` is measured on real ground: `python -m craternav_fg.calibration crest_heights FOLDER` with the
-folder of the public files. So are `common_shift`, which gives `estimators.batch_options.CRATER_FREEDOM` (4)
-and the scenarios' `common_place_sigma_m`, and `posed_images`, which gives
-`mapping.posed_images.IMAGES_PER_VIEW` (3), both without standard errors, `catalogue_errors`, which gives the
-errors of a published map as an elevation model shows them, and `pull_of_prediction`, which shows what
-`GuidedOptions.recentrings` is for.
+`crest_heights` and `rim_tilts` are measured on real ground: `python -m craternav_fg.calibration rim_tilts
+FOLDER` with the folder of the public files. So are `common_shift`, which gives
+`estimators.batch_options.CRATER_FREEDOM` (4) and the scenarios' `common_place_sigma_m`, and `posed_images`,
+which gives `mapping.posed_images.IMAGES_PER_VIEW` (3), both without standard errors, `catalogue_errors`,
+which gives the errors of a published map as an elevation model shows them, and `pull_of_prediction`, which
+shows what `GuidedOptions.recentrings` is for.
 
 `GuidedOptions.brightness_slope_per_px` is not regenerated: it was set by the chi-square of single rims above
 100 px, whose median is right with it (0.99 over 25 rims) and hardly changes with three times of it (1.00).

@@ -17,6 +17,7 @@ from craternav_fg.calibration.pull_of_prediction import pull_of_prediction
 from craternav_fg.calibration.reference_brightness import reference_brightness
 from craternav_fg.calibration.regenerated import Regenerated
 from craternav_fg.calibration.rim_floor import rim_floor
+from craternav_fg.calibration.rim_tilts import rim_tilts
 from craternav_fg.calibration.robust_moments import robust_moments
 from craternav_fg.calibration.sun_tilt import sun_tilt
 from craternav_fg.calibration.variance_inflation import variance_inflation
@@ -44,4 +45,5 @@ ON_REAL_GROUND: Mapping[str, Callable[[Path], None]] = {
     "posed_images": posed_images,
     "pull_of_prediction": pull_of_prediction,
     "crest_heights": crest_heights,
+    "rim_tilts": rim_tilts,
 }

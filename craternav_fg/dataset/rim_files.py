@@ -3,7 +3,7 @@
 `layout` describes the columns. Rows of a frame are read in the order of the catalogue.
 """
 
-from collections.abc import Sequence, Sized
+from collections.abc import Mapping, Sequence, Sized
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -31,7 +31,9 @@ _RIMS = pa.schema(
     ]
 )
 # Roots of the correlated parts of the covariance, with their columns.
-_ROOTS = {"correlated": 5, "correlated_height": 1, "shared": SHARED_SIZE}
+_ROOTS = {"correlated": 5, "correlated_height": 1, "correlated_tilt": 2, "shared": SHARED_SIZE}
+# Columns of `RimSet.correlated` beyond those in the rim's plane.
+_BEYOND = {"correlated_height": slice(5, 6), "correlated_tilt": slice(6, 8)}
 _FUSED = "fused_white"
 _QUALITY = tuple(field.name for field in fields(RimQuality))
 _PART_SHAPES: dict[str, tuple[int, ...]] = {
@@ -161,9 +163,9 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog, camera: Camera)
     for own in _rows_of_frames(path, rows, craters, len(stamps_ns)):
         seen = {name: part.values[own] for name, part in parts.items() if part.known[own].any()}
         here = {name: seen.pop(name) for name in _ROOTS if name in seen}
-        if "correlated_height" in here and "correlated" in here:
-            both = here["correlated"], here.pop("correlated_height")
-            here["correlated"] = np.concatenate(both, axis=2)
+        beyond = {name: here.pop(name) for name in _BEYOND if name in here}
+        if beyond and "correlated" in here:
+            here["correlated"] = np.concatenate([here["correlated"], _beyond(beyond, len(own))], axis=2)
         fused = seen.pop(_FUSED, None)
         quality = RimQuality(**seen) if seen else None
         out.append(RimSet(craters[own], charts[own], covariances[own], quality, fused_white=fused, **here))
@@ -280,13 +282,22 @@ class _Part:
 
 
 def _root(rims: RimSet, name: str) -> FloatArray | None:
-    """Root (n, 5, m) of a part of the covariance as the file has it: the error of the height by itself."""
+    """Root (n, 5, m) of a part of the covariance as the file has it: errors of height and tilt apart."""
     if name == "shared" or rims.correlated is None:
         return rims.shared if name == "shared" else None
-    of_height = rims.correlated[:, :, 5:]
     if name == "correlated":
         return rims.correlated[:, :, :5]
-    return of_height if of_height.any() else None
+    part = rims.correlated[:, :, _BEYOND[name]]
+    return part if part.any() else None
+
+
+def _beyond(parts: Mapping[str, FloatArray], count: int) -> FloatArray:
+    """Roots (n, 5, 1 or 3) of the errors of heights and, if they are there, of tilts."""
+    wide = "correlated_tilt" in parts
+    out = np.zeros((count, 5, 3 if wide else 1))
+    for name, values in parts.items():
+        out[:, :, _BEYOND[name].start - 5 : _BEYOND[name].stop - 5] = values
+    return out
 
 
 def _key_columns(

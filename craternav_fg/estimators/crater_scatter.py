@@ -77,7 +77,7 @@ def _on_ground(
 
     Returns
     -------
-    craters, errors, roots, white : ndarray, shapes (n,), (n, 5), (n, 5, 14), (n, 5, 5)
+    craters, errors, roots, white : ndarray, shapes (n,), (n, 5), (n, 5, 16), (n, 5, 5)
         Roots of the time-correlated and the shared parts of the covariance, and its white part.
     """
     parts = []

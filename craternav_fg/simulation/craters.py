@@ -104,7 +104,7 @@ def random_craters(
 
 
 def standing(catalog: Catalog, relief: Relief) -> Catalog:
-    """Replace the heights of a catalogue's craters, largest first, by those of the terrain they stand in."""
+    """Put a catalogue's craters, largest first, on the terrain they stand in, with level rims."""
     body = catalog.body
     radius = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
     xy = relief.plane(catalog.up)
@@ -119,7 +119,7 @@ def standing(catalog: Catalog, relief: Relief) -> Catalog:
         body.radius_m,
         heights,
     )
-    return replace(catalog, height_m=heights)
+    return replace(catalog, height_m=heights, plane_tilt_rad=np.zeros((len(catalog), 2)))
 
 
 def random_clutter(

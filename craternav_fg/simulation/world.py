@@ -299,6 +299,7 @@ def _named_craters(craters: Sequence[Crater], gRe: FloatArray, body: Body) -> Ca
         angle_rad=np.radians([c.angle_deg for c in craters]),
         height_m=np.array([c.height_m for c in craters]),
         body=body,
+        plane_tilt_rad=np.zeros((len(craters), 2)),
     )
 
 

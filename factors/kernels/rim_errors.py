@@ -9,6 +9,9 @@ from factors.kernels.conic import camera_pose, moments, rim_in_camera
 from factors.kernels.packed import CRATER, HEADER, shape_residuals
 from factors.kernels.robust import NONE, loss_and_weight
 
+# Direction in which each error moves the semi-axes a l1 and b l2: along l1, l2 or their normal; -1 for none.
+_OF_AXES = np.array([[-1, -1, -1, 0, 1, -1, 2, -1], [-1, -1, -1, -1, 0, 1, -1, 2]])
+
 
 @njit(cache=True, error_model="numpy")
 def ground_slopes(gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray) -> FloatArray:
@@ -30,8 +33,38 @@ def ground_slopes(gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: F
         l1, its shear (l1 moves towards l2 and l2 towards l1) and its growth along l2. The shifts are in units
         of the rim's mean radius sqrt(a b). Zero for a rim that the pose cannot see.
     """
+    return _slopes(gTb, bTc, centres, axes, 0, 6)
+
+
+@njit(cache=True, error_model="numpy")
+def tilt_slopes(gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray) -> FloatArray:
+    """Differentiate charts in the tilts of the rims' planes.
+
+    Parameters
+    ----------
+    gTb, bTc : ndarray, shape (4, 4)
+        Pose of the body in g, mounting of the camera.
+    centres : ndarray, shape (n, 3)
+        Rim centres in g, m.
+    axes : ndarray, shape (n, 2, 3)
+        Semi-axes a l1 and b l2 in g, m.
+
+    Returns
+    -------
+    ndarray, shape (n, 5, 2)
+        Derivatives in the slopes of the plane along l1 and l2, per unit slope. Zero for a rim that the pose
+        cannot see.
+    """
+    return _slopes(gTb, bTc, centres, axes, 6, 8)
+
+
+@njit(cache=True, error_model="numpy")
+def _slopes(
+    gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray, begin: int, end: int
+) -> FloatArray:
+    """Compute derivatives (n, 5, end - begin): columns of `ground_slopes`, then `tilt_slopes`."""
     R, P = camera_pose(gTb, bTc)
-    out = np.zeros((centres.shape[0], 5, 6))
+    out = np.zeros((centres.shape[0], 5, end - begin))
     p, c, u = np.empty(3), np.empty((2, 3)), np.empty((3, 3))
     d, dc = np.empty(3), np.empty((2, 3))
     for i in range(centres.shape[0]):
@@ -55,12 +88,12 @@ def ground_slopes(gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: F
         w = c[0, 2] * c[0, 2] + c[1, 2] * c[1, 2] - p[2] * p[2]
         # Q*/w beside m m': S, without a third row.
         N = np.array([[mx * mx - sxx, mx * my - sxy], [mx * my - sxy, my * my - syy]])
-        for j in range(6):
+        for j in range(begin, end):
             for k in range(3):
                 d[k] = radius * u[j, k] if j < 3 else 0.0
-                # The in-plane map 1 + D moves a l1 to (1 + D) a l1.
-                dc[0, k] = a * u[0, k] if j == 3 else (a * u[1, k] if j == 4 else 0.0)
-                dc[1, k] = b * u[1, k] if j == 5 else (b * u[0, k] if j == 4 else 0.0)
+                # The map 1 + D moves a l1 to (1 + D) a l1.
+                dc[0, k] = a * u[_OF_AXES[0, j], k] if _OF_AXES[0, j] >= 0 else 0.0
+                dc[1, k] = b * u[_OF_AXES[1, j], k] if _OF_AXES[1, j] >= 0 else 0.0
             dQ = np.zeros((3, 3))
             for k in range(3):
                 for n in range(3):
@@ -73,10 +106,10 @@ def ground_slopes(gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: F
             dxx = 2.0 * mx * dmx - (dQ[0, 0] - N[0, 0] * dw)
             dxy = dmx * my + mx * dmy - (dQ[0, 1] - N[0, 1] * dw)
             dyy = 2.0 * my * dmy - (dQ[1, 1] - N[1, 1] * dw)
-            out[i, 0, j], out[i, 1, j] = dmx, dmy
-            out[i, 2, j] = 0.5 * dxx / sxx
-            out[i, 3, j] = (dxy - beta * dxx) / sxx
-            out[i, 4, j] = 0.5 * (dyy - 2.0 * beta * dxy + beta * beta * dxx) / s
+            out[i, 0, j - begin], out[i, 1, j - begin] = dmx, dmy
+            out[i, 2, j - begin] = 0.5 * dxx / sxx
+            out[i, 3, j - begin] = (dxy - beta * dxx) / sxx
+            out[i, 4, j - begin] = 0.5 * (dyy - 2.0 * beta * dxy + beta * beta * dxx) / s
     return out
 
 

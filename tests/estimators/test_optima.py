@@ -11,7 +11,6 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import batch
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import BatchSmoother
-from craternav_fg.estimators.correlated_errors import STATE_SIZE
 from craternav_fg.estimators.online import OnlineSmoother
 from tests.descents import problem, scenario
 from tests.estimators.test_correlated_errors import KNOWING, spoilt
@@ -26,7 +25,7 @@ def p(tmp_path_factory: pytest.TempPathFactory) -> Problem:
 def test_craters_far_off_make_an_optimum_suspect(p: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     """Although their variances grow until they fit: the more they are off, the better they used to fit."""
     rng = np.random.default_rng(5)
-    away = {row: 15.0 * rng.standard_normal(STATE_SIZE)[:5] for row in range(len(p.catalog))}
+    away = {row: 15.0 * rng.standard_normal(8)[:5] for row in range(len(p.catalog))}
     frames = []
     for frame in p.frames:
         rims = frame.rims

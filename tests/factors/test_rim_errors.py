@@ -12,7 +12,7 @@ from factors.custom import Loss
 from factors.errors import FactorError
 from factors.kernels import robust
 from factors.kernels.conic import project_rims
-from factors.kernels.rim_errors import ground_slopes
+from factors.kernels.rim_errors import ground_slopes, tilt_slopes
 from factors.rims_with_errors import RimsWithErrors
 
 POSE = np.array(
@@ -184,6 +184,22 @@ def test_slopes_are_those_of_moved_and_stretched_rims() -> None:
     for j in range(6):
         expected = (chart(j, h) - chart(j, -h)) / (2.0 * h)
         assert_allclose(slopes[:, :, j], expected, rtol=1e-6, atol=1e-8)
+
+
+def test_tilts_raise_the_semi_axes() -> None:
+    slopes = tilt_slopes(POSE, MOUNTING, CENTRES, AXES)
+    assert slopes.shape == (len(CENTRES), 5, 2)
+    normals = np.cross(AXES[:, 0], AXES[:, 1])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    h = 1e-5
+    for j in range(2):
+        charts = []
+        for side in (h, -h):
+            axes = AXES.copy()
+            axes[:, j] += side * np.linalg.norm(AXES[:, j], axis=1)[:, None] * normals
+            charts.append(project_rims(POSE, MOUNTING, CENTRES, axes)[0])
+        assert_allclose(slopes[:, :, j], (charts[0] - charts[1]) / (2.0 * h), rtol=1e-6, atol=1e-8)
+    assert np.abs(slopes).max() > 0.01
 
 
 def test_roots_of_another_shape_are_refused() -> None:

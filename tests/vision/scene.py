@@ -63,7 +63,7 @@ def craters(rng, count=24, low_px=12.0, high_px=30.0, half=0.33):
     major = sizes / rng.uniform(0.75, 1.0, count)
     return Catalog(
         tuple(f"T{i}" for i in range(count)), lat, lon, major, sizes, rng.uniform(0.0, np.pi, count),
-        -(major**2 + sizes**2) / (4.0 * MOON.radius_m), MOON,
+        -(major**2 + sizes**2) / (4.0 * MOON.radius_m), MOON, plane_tilt_rad=np.zeros((count, 2)),
     )  # fmt: skip
 
 

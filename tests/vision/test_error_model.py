@@ -149,6 +149,35 @@ def test_errors_that_the_catalogue_states_are_added_crater_by_crater(view):
     np.testing.assert_allclose(told, assumed, rtol=1e-12, atol=1e-18)
 
 
+def test_slopes_that_the_catalogue_does_not_state_are_unknown(view):
+    """They stay with the crater, in directions of their own; a map that states them is believed."""
+    gTb, sun, camera, catalog = view
+    rows, options = np.arange(len(catalog)), CorrelatedErrorOptions()
+    silent = dataclasses.replace(catalog, plane_tilt_rad=None)
+    told, kept, *_ = split(claimed(len(rows)), 1.0, rows, *view, options)
+    covariance, correlated, *_ = split(claimed(len(rows)), 1.0, rows, gTb, sun, camera, silent, options)
+    assert (kept.shape[2], correlated.shape[2]) == (6, 8)
+    np.testing.assert_allclose(correlated[:, :, :6], kept, rtol=1e-9, atol=1e-16)
+    before = project_rims(gTb, camera.bTc, catalog.centres, catalog.axes)[0]
+    for direction in np.eye(2):
+        slopes = np.tile(np.arctan(options.map_tilt_rad * direction), (len(rows), 1))
+        tilted = dataclasses.replace(catalog, plane_tilt_rad=slopes)
+        step = project_rims(gTb, camera.bTc, tilted.centres, tilted.axes)[0] - before
+        # East and north lie somewhere between the semi-axes.
+        tilts = correlated[:, :, 6:]
+        left = step - np.einsum("nij,nj->ni", tilts, _solved(tilts, step))
+        assert np.abs(left).max() < 0.05 * np.abs(step).max()
+    added = correlated[:, :, 6:] @ np.swapaxes(correlated[:, :, 6:], 1, 2)
+    np.testing.assert_allclose(covariance - told, added, atol=1e-17)
+    known = CorrelatedErrorOptions(map_tilt_rad=0.0)
+    exact, *_ = split(claimed(len(rows)), 1.0, rows, gTb, sun, camera, silent, known)
+    np.testing.assert_allclose(exact, told, rtol=1e-12, atol=1e-18)
+
+
+def _solved(roots, steps):
+    return np.array([np.linalg.lstsq(A, step, rcond=None)[0] for A, step in zip(roots, steps, strict=True)])
+
+
 def radius(catalog):
     return np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
 

@@ -20,7 +20,7 @@ from craternav_fg.measurements import SHARED_SIZE
 from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.vision.error_model.systematic import RimErrors
 from factors.arrays import FloatArray, IntArray
-from factors.kernels.rim_errors import ground_slopes
+from factors.kernels.rim_errors import ground_slopes, tilt_slopes
 
 # Columns of `ground_slopes` that move a rim within its plane: shifts along l1 and l2, growth along l1, shear,
 # growth along l2. The other column is a shift along the normal.
@@ -86,11 +86,15 @@ class CorrelatedErrorOptions:
         catalogues of circles have several per cent.
     map_height_m : float
         The same of the height of a rim's plane, m: a coarse elevation model smooths a rim.
+    map_tilt_rad : float
+        Standard deviation of both slopes of a rim's plane where the catalogue does not state them
+        (`Catalog.plane_tilt_rad`). That of rims on the Moon's elevation model, by
+        `craternav_fg.calibration.rim_tilts`.
     """
 
     crater_share: float = 0.7
     excess_white_share: float = 0.2
-    camera_shift_px: float = 0.02
+    camera_shift_px: float = 0.03
     sun_shift_px: float = 0.03
     stretch_px: float = 0.04
     stretch_share: float = 0.00005
@@ -102,6 +106,7 @@ class CorrelatedErrorOptions:
     map_place_share: float = 0.0
     map_size_share: float = 0.0
     map_height_m: float = 0.0
+    map_tilt_rad: float = 0.04
 
 
 def map_variances(rows: IntArray, catalog: Catalog, options: CorrelatedErrorOptions) -> FloatArray:
@@ -150,7 +155,20 @@ def map_covariance(
     """
     slopes = ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
     variances = map_variances(rows, catalog, options)
-    return np.asarray((slopes * variances[:, None]) @ np.swapaxes(slopes, 1, 2))
+    tilts = _tilt_roots(rows, gTb, camera, catalog, options)
+    return np.asarray(
+        (slopes * variances[:, None]) @ np.swapaxes(slopes, 1, 2) + tilts @ np.swapaxes(tilts, 1, 2)
+    )
+
+
+def _tilt_roots(
+    rows: IntArray, gTb: FloatArray, camera: Camera, catalog: Catalog, options: CorrelatedErrorOptions
+) -> FloatArray:
+    """Roots (n, 5, 2) of the unknown slopes of the rims' planes; (n, 5, 0) where the catalogue has them."""
+    if catalog.plane_tilt_rad is not None or options.map_tilt_rad == 0.0:
+        return np.zeros((len(rows), 5, 0))
+    slopes = tilt_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
+    return np.asarray(options.map_tilt_rad * slopes)
 
 
 def in_plane_slopes(rows: IntArray, gTb: FloatArray, camera: Camera, catalog: Catalog) -> FloatArray:
@@ -223,7 +241,7 @@ def correlated_roots(
 
     Returns
     -------
-    correlated, shared : ndarray, shapes (n, 5, 6), (n, 5, 8)
+    correlated, shared : ndarray, shapes (n, 5, 6) or (n, 5, 8), (n, 5, 8)
         As in `RimSet`.
     """
     brightness = errors.brightness_root
@@ -236,7 +254,8 @@ def correlated_roots(
     on_ground = on_ground + of_map[:, _IN_PLANE, None] * np.eye(len(_IN_PLANE))
     in_plane = slopes @ np.linalg.cholesky(0.5 * (on_ground + np.swapaxes(on_ground, 1, 2)))
     of_height = every[:, :, [_HEIGHT]] * np.sqrt(of_map[:, [_HEIGHT], None])
-    correlated = np.concatenate([in_plane, of_height], axis=2)
+    tilts = _tilt_roots(rows, gTb, camera, catalog, options)
+    correlated = np.concatenate([in_plane, of_height, tilts], axis=2)
     shared = slopes @ _shared_on_ground(rows, gTb, sun_g, camera, catalog, options)
     shared[:, :, 7] = np.sqrt(options.brightness_share) * brightness
     return correlated, shared
@@ -279,9 +298,11 @@ def without_map(
     values, vectors = np.linalg.eigh(on_ground - of_map[:, _IN_PLANE, None] * np.eye(count))
     left = np.maximum(values, least[:, None])
     own = slopes @ np.linalg.cholesky((vectors * left[:, None]) @ np.swapaxes(vectors, 1, 2))
-    squares = [np.sum(part**2, axis=1, keepdims=True) for part in (height, correlated[:, :, count:])]
+    kept = correlated[:, :, count : count + 1]
+    squares = [np.sum(part**2, axis=1, keepdims=True) for part in (height, kept)]
     of_height = np.sqrt(np.maximum(squares[1] / squares[0] - of_map[:, [_HEIGHT], None], 0.0))
-    return np.concatenate([own, height * of_height], axis=2)
+    # Tilts are no unknowns of a calibration.
+    return np.concatenate([own, height * of_height, correlated[:, :, count + 1 :]], axis=2)
 
 
 def _shared_on_ground(
@@ -347,7 +368,7 @@ def split(
     -------
     covariance : ndarray, shape (n, 5, 5)
         Covariance of the whole error.
-    correlated, shared : ndarray, shapes (n, 5, 6), (n, 5, 8)
+    correlated, shared : ndarray, shapes (n, 5, 6) or (n, 5, 8), (n, 5, 8)
         Roots of the time-correlated and the shared part of it.
     fused_white : ndarray, shape (n, 5, 5)
         See `RimSet`.
