@@ -28,7 +28,7 @@ candidates           candidates.TEMPLATE_SIZE_FACTOR               1.07    1.036
 ..                   detect.SUN_VOTE_CHANCE_SHARE                  0.22    at least 0.197 ± 0.001
 reference_brightness GuidedOptions.brightness_sigma_share          0.02    at least 0.011 ± 0.001
 ..                   blind_fit.BRIGHTNESS_SIGMA                    0.05    0.061 ± 0.008, confirmed
-rim_floor            GuidedOptions.level_scatter_share             0.09    0.113 ± 0.007, kept
+rim_floor            GuidedOptions.level_scatter_share             0.09    0.099 ± 0.005, confirmed
 ..                   level_rim_share                               0.12    0.138 ± 0.023, confirmed
 correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.64 ± 0.05, confirmed
 ..                   brightness_share                              0.6     0.49 ± 0.15, confirmed

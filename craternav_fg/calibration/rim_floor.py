@@ -2,9 +2,7 @@
 
 The level of the ground at a rim is as uncertain as it varies, in the image and around the rim; the edges move
 with it. Fitted so that the covariances of single rims are as the errors of rendered rims, of Moon, Dione and
-Bennu together; what all rims have in common is in the covariances, or it would count twice. The share of the
-scatter is kept below what the fit gives, which is Bennu's (0.13, of the Moon 0.11 +- 0.02): with 0.12 and
-0.2 descents to the Moon are too careful (six trials: ANEES 3.4 of the smoother in place of 4.7).
+Bennu together; what all rims have in common is in the covariances, or it would count twice.
 
 The ground of these renders has one albedo. That of the tests' second simulator has patches, and its rims err
 with heavier tails: a fit wants 0.33 and 0.32 there (`python -m tests.foreign.rim_floor`). What a frame's rims
@@ -16,15 +14,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from craternav_fg.calibration.likelihood import Parameter, estimate, gaussian_cost
-from craternav_fg.calibration.regenerated import Regenerated, Relation
+from craternav_fg.calibration.regenerated import Regenerated
 from craternav_fg.calibration.rendered_descents import measured_descents
 from craternav_fg.calibration.single_rims import SingleRims
 from craternav_fg.linalg import squared_distance
 from craternav_fg.vision.guided_options import GuidedOptions
 from factors.arrays import FloatArray
 
-# What the data give of a share that is kept.
-_KNOWN_SCATTER_SHARE = 0.124
 # Squared distance, 5 degrees of freedom, of a rim that is another crater's.
 _OUTLIER2 = 60.0
 
@@ -73,9 +69,6 @@ def level_shares(descents: Sequence[Sequence[SingleRims]]) -> list[Regenerated]:
 
     values, errors = estimate(costs, [Parameter(float(share)) for share in start])
     return [
-        Regenerated(
-            "GuidedOptions.level_scatter_share", start[0], float(values[0]), float(errors[0]),
-            Relation.KEPT, _KNOWN_SCATTER_SHARE,
-        ),
+        Regenerated("GuidedOptions.level_scatter_share", start[0], float(values[0]), float(errors[0])),
         Regenerated("GuidedOptions.level_rim_share", start[1], float(values[1]), float(errors[1])),
-    ]  # fmt: skip
+    ]
