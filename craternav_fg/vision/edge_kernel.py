@@ -57,9 +57,11 @@ _FLAT_CONTRAST_SHARE = 0.35
 # Prior weight of the canonical crater's fall of the slope at the crest, 1/radii, for a slope contrast of 1
 # all around; and the range of how narrow a crest is, see `crest_asymmetry.displacement_terms`.
 _FALL_PRIOR = 1.0
-_LEAST_NARROW, _MOST_NARROW = 0.2, 3.0
+_LEAST_NARROW, _MOST_NARROW, _MOST_NARROW_OF_BLIND = 0.2, 3.0, 2.0
 # Range of the steepness over the canonical crater's: of less, the step between the flanks tells nothing.
 _LEAST_STEEPNESS, _MOST_STEEPNESS = 0.2, 2.5
+# Rounds in which the steepness is found of flanks whose slopes bend the brightness.
+_ROUNDS = 2
 # Terms of a normal that are kept: its view and its radius.
 _NORMAL_TERMS = 9
 # An edge is ambiguous if the second best one on its normal scores more than this share of the best.
@@ -140,17 +142,17 @@ def _kept(row: FloatArray) -> NormalView:
 @njit(cache=True, error_model="numpy")
 def _flanks_of_steepness(
     tables: CrestTables, light: RimLight, normals: FloatArray, flanks: FloatArray, slopes: FloatArray,
-    bends: FloatArray,
+    bends: FloatArray, rounds: int,
 ) -> float:  # fmt: skip
     """Compute what flanks (n, 2) show whose step is that which is seen, see `flank_terms`.
 
     Views (n, 9) are those of `_keep`; slopes and bends (n, 2) are written. Returns the steepness, over the
-    canonical crater's.
+    canonical crater's. In the first of the rounds it is that crater's.
     """
     count = len(normals)
     contrasts = normals[:, 2]
     steepness, step = 1.0, 1.0
-    for _ in range(2):
+    for _ in range(rounds):
         steepness = min(max(steepness * step, _LEAST_STEEPNESS), _MOST_STEEPNESS)
         for i in range(count):
             flank_terms(tables, light, _kept(normals[i]), normals[i, 8], steepness, slopes[i], bends[i])
@@ -160,36 +162,24 @@ def _flanks_of_steepness(
 
 @njit(cache=True, error_model="numpy")
 def _crossing_shapes(
-    tables: CrestTables, normals: FloatArray, blurs: FloatArray, narrow: float, steepness: float
-) -> FloatArray:
-    """Compute outward displacements of crossings, px, for a crest like the canonical one but for its wear.
+    tables: CrestTables, normals: FloatArray, blurs: FloatArray, narrow: float, lift_share: float,
+    steepness: float,
+) -> FloatArray:  # fmt: skip
+    """Compute outward displacements (n, 4) of crossings, px, of the canonical crest but for its wear.
 
-    Parameters
-    ----------
-    tables : CrestTables
-    normals : ndarray, shape (n, 9)
-        See `_keep`.
-    blurs : ndarray, shape (n, 2)
-        Standard deviations of the blur at both smoothings, in radii.
-    narrow : float
-        See `crest_asymmetry.displacement_terms`.
-    steepness : float
-        Over the canonical crater's.
-
-    Returns
-    -------
-    ndarray, shape (n, 4)
-        What the asymmetry does and what the second order and the lift do; the same two again, for the motion
-        from the first smoothing to the second.
+    What the asymmetry does, what the second order and the lift do; the same for the motion from the first
+    smoothing to the second. Views (n, 9) are those of `_keep`; blurs (n, 2) are standard deviations, in
+    radii; of what the lift does a share counts.
     """
     out = np.empty((len(blurs), 4))
     narrow = min(max(narrow, _LEAST_NARROW), _MOST_NARROW)
+    lift_share = max(lift_share, _LEAST_NARROW)
     steepness = min(max(steepness, _LEAST_STEEPNESS), _MOST_STEEPNESS)
     for i in range(len(blurs)):
         view, h = _kept(normals[i]), normals[i, 8]
         for k in range(2):
             odd, bent, lifted = crossing_parts(tables, of_lambertian(view), view.lift, blurs[i, k], steepness)
-            out[i, 2 * k], out[i, 2 * k + 1] = h * odd, h * (narrow * bent + lifted)
+            out[i, 2 * k], out[i, 2 * k + 1] = h * odd, h * (narrow * bent + lift_share * lifted)
         out[i, 2] -= out[i, 0]
         out[i, 3] -= out[i, 1]
     return out
@@ -387,10 +377,16 @@ def trace_rim(
         steps[found] = step
         falls[found] = sign * fall
         found += 1
-    steepness = _flanks_of_steepness(tables, light, normals[:found], flanks[:found], slopes, bends)
+    rounds = _ROUNDS if thorough else 1
+    steepness = _flanks_of_steepness(tables, light, normals[:found], flanks[:found], slopes, bends, rounds)
     fall_share = seen_fall / canonical
     narrow = fall_share / max(steepness, _LEAST_STEEPNESS)
-    shapes = _crossing_shapes(tables, normals[:found], blurs[:found], narrow, steepness)
+    if thorough:
+        bends_share, lift_share, scale = narrow, 1.0, steepness
+    else:
+        bends_share = lift_share = min(fall_share / max(steepness, 1.0), _MOST_NARROW_OF_BLIND)
+        scale = 1.0
+    shapes = _crossing_shapes(tables, normals[:found], blurs[:found], bends_share, lift_share, scale)
     blunt = bluntness(moved[:found], shapes[:, 2], shapes[:, 3], contrasts[:found])
     displaced = displacement_share(blunt, narrow) if thorough else blunt
     first[:found] -= displaced * shapes[:, 0] + shapes[:, 1]
@@ -492,5 +488,5 @@ def flanks_around(
         flanks[found, 0], flanks[found, 1] = inner / local - 1.0, outer / local - 1.0
         _keep(view, h, normals[found])
         found += 1
-    _flanks_of_steepness(tables, light, normals[:found], flanks[:found], slopes, bends)
+    _flanks_of_steepness(tables, light, normals[:found], flanks[:found], slopes, bends, _ROUNDS)
     return angles[:found], flanks[:found], contrasts[:found], slopes[:found], bends[:found]

@@ -135,7 +135,8 @@ def find_edge_points(
     thorough : bool
         Whether the rim is measured and not only found: an edge is also searched by its flanks alone, where
         the brightness crosses no reference; its place between samples follows a cubic, and its displacement
-        by blur depends on how narrow the crest is. Edges of faint rims scatter more by that.
+        depends on how narrow the crest and how steep the crater is. Edges of faint rims scatter more by
+        that.
 
     Returns
     -------
