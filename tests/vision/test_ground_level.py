@@ -146,8 +146,9 @@ def test_edges_that_a_patch_moves_outwards_are_found_as_those_moved_inwards():
 
 def test_even_ground_needs_no_edges_by_flanks_alone():
     even, lost = trace(crater()), trace(crater(), thorough=True)
-    # The same edges, which a thorough search places between samples by a cubic.
-    np.testing.assert_allclose(lost.points_px, even.points_px, atol=0.06)
+    # The same edges. A thorough search places them between samples by a cubic, and takes off what the second
+    # order of the slope does by the steepness of the crater, of which the other has at most the canonical.
+    np.testing.assert_allclose(lost.points_px, even.points_px, atol=0.07)
 
 
 def test_the_smooth_share_is_the_larger_one():
