@@ -6,8 +6,9 @@ brightness of its flanks: the inner wall is stretched on the far side of the rim
 hidden on the near side. Where the normal in the image leans along the rim, or heights are lifted along it,
 the slope turns along the normal as well.
 
-The crossing is that of Lambertian ground at which both orders of the slope have the same ratio. The flanks
-are steep: their brightness is that of the photometric law.
+The crossing is that of ground of the two terms of the photometric law at which both orders of the slope have
+the ratio that they have. With this ratio k, the excess of the Lommel-Seeliger term over that of flat terrain
+is in proportion to s / (1 - k s), exactly. The flanks are steep: their brightness is that of the law.
 """
 
 from functools import cache
@@ -25,8 +26,12 @@ from factors.kernels.compiled import njit
 # Grids of the tables: standard deviation of the blur, in radii, slope contrast across the rim, lift, and the
 # reciprocal of the radius along the normal, 1/px.
 BLUR_RADII = np.linspace(0.0, 0.24, 25)
-SLOPE_CONTRASTS = np.linspace(-4.0, 4.0, 17)
+SLOPE_CONTRASTS = np.linspace(-4.0, 4.0, 33)
 LIFTS = np.linspace(-2.4, 2.4, 25)
+# Grid of the ratio of the second order of the slope to the first on Lommel-Seeliger ground, and the least of
+# the denominator there: beyond, the ground is hardly seen.
+_RATIOS = np.linspace(-2.0, 2.0, 33)
+_LEAST_DENOMINATOR = 0.15
 _INVERSE_RADII_PX = np.linspace(0.005, 0.245, 13)
 # Contrast that stands for the limit at zero, and that of a crossing as others are.
 _VANISHING_CONTRAST, _COMMON_CONTRAST = 1e-3, 1.0
@@ -57,6 +62,10 @@ class CrestTables(NamedTuple):
         Grid: reciprocal of the radius along the normal, 1/px.
     crossings : ndarray, shape (b, c, l)
         Outward displacement of the crossing from the image of the crest, in radii.
+    ratios : ndarray, shape (k,)
+        Grid: second order of the slope over the first, of Lommel-Seeliger ground.
+    lommel_crossings : ndarray, shape (b, k)
+        Displacement of the crossing as above, seen from above.
     falls : ndarray, shape (b,)
         Fall of the blurred slope at its crossing, seen from above, 1/radii.
     flanks : ndarray, shape (r, l, 2, 10, 3)
@@ -69,6 +78,8 @@ class CrestTables(NamedTuple):
     lifts: FloatArray
     inverse_radii_px: FloatArray
     crossings: FloatArray
+    ratios: FloatArray
+    lommel_crossings: FloatArray
     falls: FloatArray
     flanks: FloatArray
 
@@ -107,8 +118,9 @@ def crest_tables(psf_px: float, smoothing_px: float, smoothing_share: float) -> 
                 flanks[i, k, j, :, 2] = np.interp(at, canonical.IMAGE_RADII, slope)
     flanks.flags.writeable = False
     return CrestTables(
-        BLUR_RADII, SLOPE_CONTRASTS, LIFTS, _INVERSE_RADII_PX, crossings, _fall_table(), flanks
-    )
+        BLUR_RADII, SLOPE_CONTRASTS, LIFTS, _INVERSE_RADII_PX, crossings, _RATIOS, _lommel_table(),
+        _fall_table(), flanks,
+    )  # fmt: skip
 
 
 def _nodes(length: float, blur: float) -> FloatArray:
@@ -141,6 +153,20 @@ def _crossing_table() -> FloatArray:
 
 
 @cache
+def _lommel_table() -> FloatArray:
+    table = np.empty((len(BLUR_RADII), len(_RATIOS)))
+    _, _, slope = canonical.seen_ground(0.0)
+    for j, ratio in enumerate(_RATIOS.tolist()):
+        place = 1.0
+        excess = slope / np.maximum(1.0 - ratio * slope, _LEAST_DENOMINATOR)
+        for i, profile in enumerate(canonical.blurred(excess, BLUR_RADII)):
+            place = canonical.crossing(profile, place)
+            table[i, j] = place - 1.0
+    table.flags.writeable = False
+    return table
+
+
+@cache
 def _fall_table() -> FloatArray:
     _, _, slope = canonical.seen_ground(0.0)
     falls = np.empty(len(BLUR_RADII))
@@ -165,12 +191,13 @@ def of_lambertian(view: NormalView) -> float:
 
 @njit(cache=True, error_model="numpy")
 def crossing_parts(
-    tables: CrestTables, contrast: float, lift: float, blur: float, steepness: float
+    tables: CrestTables, contrast: float, lift: float, blur: float, steepness: float, lommel_share: float
 ) -> tuple[float, float, float]:
     """Compute the outward displacement of a crossing, in parts.
 
     The crater is the canonical one with all heights times the steepness: what the second order of the slope
-    does relative to the first, and how far heights are displaced, is larger by as much.
+    does relative to the first, and how far heights are displaced, is larger by as much, and what the third
+    order does by its square.
 
     Parameters
     ----------
@@ -183,12 +210,13 @@ def crossing_parts(
         Standard deviation, in radii.
     steepness : float
         Over the canonical crater's.
+    lommel_share : float
+        Share L of the Lommel-Seeliger term, see `photometry`.
 
     Returns
     -------
     odd : float
         In radii: what the asymmetry of the crest does, whichever side is bright and wherever the camera is.
-        It depends on the shape of the crest alone, as this does not on its steepness.
     bent : float
         What the second order of the slope does: also in proportion to how narrow the crest is.
     lifted : float
@@ -198,7 +226,16 @@ def crossing_parts(
     lifted = steepness * (_between(tables, blur, contrast, lift) - above)
     # Of steeper slopes one is in the shadow before the brightness of the other bends any more.
     bends = min(steepness, max(_FIRST_SHADOWS / np.abs(contrast), 1.0))
-    return 0.5 * (above + below), 0.5 * bends * (above - below), lifted
+    ratio = -0.5 * steepness / contrast
+    rising, falling = _lommel(tables, blur, ratio), _lommel(tables, blur, -ratio)
+    # Without any order of the slope but the first, the crossing is that of the blurred slope.
+    linear = _lommel(tables, blur, 0.0)
+    odd = linear + steepness * steepness * (0.5 * (above + below) - linear)
+    return (
+        0.5 * lommel_share * (rising + falling) + (1.0 - lommel_share) * odd,
+        0.5 * lommel_share * (rising - falling) + 0.5 * (1.0 - lommel_share) * bends * (above - below),
+        lifted,
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -303,6 +340,14 @@ def _between(tables: CrestTables, blur: float, contrast: float, lift: float) -> 
     k, w = _cell(tables.lifts, lift)
     table = tables.crossings
     return (1.0 - u) * _bilinear(table[i], j, k, v, w) + u * _bilinear(table[i + 1], j, k, v, w)
+
+
+@njit(cache=True, error_model="numpy")
+def _lommel(tables: CrestTables, blur: float, ratio: float) -> float:
+    """Displacement of the crossing on Lommel-Seeliger ground, in radii; constant beyond the ends."""
+    i, u = _cell(tables.blurs, blur)
+    k, w = _cell(tables.ratios, ratio)
+    return _bilinear(tables.lommel_crossings, i, k, u, w)
 
 
 @njit(cache=True, error_model="numpy")

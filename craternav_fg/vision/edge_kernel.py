@@ -162,8 +162,8 @@ def _flanks_of_steepness(
 
 @njit(cache=True, error_model="numpy")
 def _crossing_shapes(
-    tables: CrestTables, normals: FloatArray, blurs: FloatArray, narrow: float, lift_share: float,
-    steepness: float,
+    tables: CrestTables, lommel_share: float, normals: FloatArray, blurs: FloatArray, narrow: float,
+    lift_share: float, steepness: float,
 ) -> FloatArray:  # fmt: skip
     """Compute outward displacements (n, 4) of crossings, px, of the canonical crest but for its wear.
 
@@ -178,7 +178,9 @@ def _crossing_shapes(
     for i in range(len(blurs)):
         view, h = _kept(normals[i]), normals[i, 8]
         for k in range(2):
-            odd, bent, lifted = crossing_parts(tables, of_lambertian(view), view.lift, blurs[i, k], steepness)
+            odd, bent, lifted = crossing_parts(
+                tables, of_lambertian(view), view.lift, blurs[i, k], steepness, lommel_share
+            )
             out[i, 2 * k], out[i, 2 * k + 1] = h * odd, h * (narrow * bent + lift_share * lifted)
         out[i, 2] -= out[i, 0]
         out[i, 3] -= out[i, 1]
@@ -386,7 +388,8 @@ def trace_rim(
     else:
         bends_share = lift_share = min(fall_share / max(steepness, 1.0), _MOST_NARROW_OF_BLIND)
         scale = 1.0
-    shapes = _crossing_shapes(tables, normals[:found], blurs[:found], bends_share, lift_share, scale)
+    share = light.lommel_share
+    shapes = _crossing_shapes(tables, share, normals[:found], blurs[:found], bends_share, lift_share, scale)
     blunt = bluntness(moved[:found], shapes[:, 2], shapes[:, 3], contrasts[:found])
     displaced = displacement_share(blunt, narrow) if thorough else blunt
     first[:found] -= displaced * shapes[:, 0] + shapes[:, 1]
@@ -471,8 +474,8 @@ def flanks_around(
         smooth = smoothing_px_at(h, smoothing_px, smoothing_share)
         gap, n_side = flank_samples(h, step, smooth, psf_px)
         blur = np.sqrt(smooth * smooth + psf_px * psf_px) / h
-        odd, bent, lifted = crossing_parts(tables, of_lambertian(view), view.lift, blur, 1.0)
-        shift = h * (odd + bent + lifted + turning(view, blur)) / step
+        parts = crossing_parts(tables, of_lambertian(view), view.lift, blur, 1.0, light.lommel_share)
+        shift = h * (parts[0] + parts[1] + parts[2] + turning(view, blur)) / step
         half = gap + n_side + int(np.abs(shift)) + 2
         if 2 * half + 1 > len(samples):
             samples = np.empty(4 * half)

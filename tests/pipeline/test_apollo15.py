@@ -11,7 +11,7 @@ from craternav_fg.evaluation.dem_check import check_against_dem
 from craternav_fg.evaluation.offsets import leave_one_out, offsets
 from craternav_fg.pipeline.options_file import OptionsFile
 from craternav_fg.pipeline.reconstruct import reconstruct
-from tests.pipeline.apollo15 import PAGE, VARIANTS, block, import_arc, options_with, outcome
+from tests.pipeline.apollo15 import PAGE, VARIANTS, altered, block, import_arc, options_with, outcome
 from tests.shared_data import shared
 
 pytest.importorskip("pvl")
@@ -33,6 +33,12 @@ def arc(data):
     return reconstruct(data, [smoother], front_end=options.front_end), smoother
 
 
+@pytest.fixture(scope="module")
+def copies(data):
+    """A single run tells no more: the same code, compiled again, gave 53, 4, 14 m in place of 15, 3, 21 m."""
+    return [altered(data, data.path.parent / "altered", seed) for seed in range(1, 5)]
+
+
 def test_the_arc_is_as_good_as_stated(data, arc):
     result, _ = arc
     # No initial state is given: two frames are identified, the others follow.
@@ -41,24 +47,25 @@ def test_the_arc_is_as_good_as_stated(data, arc):
     assert not result.reinitialised_at
     assert min(len(frame.rims) for frame in result.frames) >= 12
     found = offsets(result.trajectories["smoother"], data.apriori.states)
-    assert np.all(found.scatter_m <= 60.0)
     assert abs(found.enu_m[:, 2].mean() + 1100.0) <= 200.0
     # The scatter is within what the arc claims at its ends, where a drift shows.
     assert np.all(found.scatter_m < found.sigma_m.max(axis=0))
 
 
 @pytest.mark.parametrize("name", [name for name in VARIANTS if not name.startswith("focal")])
-def test_variants_come_to_what_the_page_says(data, name):
-    """A single run tells no more: the same code, compiled again, gave 53, 4, 14 m in place of 15, 3, 21 m."""
+def test_variants_come_to_what_the_page_says(data, copies, name):
     row = re.search(rf"^\| {re.escape(name)}[^|]*\|[^|]*\|([^|]*)\|([^|]*)\|$", PAGE, re.MULTILINE)
     assert row is not None
     (scatter_m, spread_m), (left_out, _) = (
         [float(text) for text in re.findall(r"[\d.]+", cell)] for cell in row.groups()
     )
-    found = outcome(data, options_with(data.path.parent, *VARIANTS[name]))
-    assert abs(found.scatter_m - scatter_m) < 3.0 * spread_m
+    options = options_with(data.path.parent, *VARIANTS[name])
+    found = [outcome(one, options) for one in copies]
+    assert abs(np.mean([one.scatter_m for one in found]) - scatter_m) < 3.0 * spread_m / np.sqrt(len(found))
     # The mean of 18 squares of normal errors has a standard deviation of 0.33.
-    assert abs(found.left_out - left_out) < 0.4
+    assert abs(np.mean([one.left_out for one in found]) - left_out) < 0.33
+    if name == "as above":
+        assert np.all(np.mean([one.offsets.scatter_m for one in found], axis=0) <= 60.0)
 
 
 def test_craters_may_stand_in_any_order(data, arc):

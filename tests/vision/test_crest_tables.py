@@ -10,6 +10,8 @@ from craternav_fg.vision.edges import EdgeOptions
 from tests.vision.oblique_crater import PSF_PX, crater, cross_section, errors_px
 
 OPTIONS = EdgeOptions()
+# Edges across which less contrast shows have little weight, and crossings far beyond the crest.
+_FAINT = 0.4
 TABLES = crest_tables(PSF_PX, OPTIONS.smoothing_px, OPTIONS.smoothing_share)
 
 
@@ -56,9 +58,12 @@ def test_a_rim_seen_obliquely_lies_where_it_is(emission_deg, law):
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
 @pytest.mark.parametrize("emission_deg", [0.0, 25.0])
-@pytest.mark.parametrize("steepness", [0.5, 1.6])
+@pytest.mark.parametrize("steepness", [0.5, 1.0, 1.6])
 def test_a_shallow_or_steep_crater_is_as_large_and_where_it_is(steepness, emission_deg, share):
-    """Taken for the canonical one, the steep one was displaced by 0.03 to 0.13 px, and 0.24 px small."""
+    """Taken for the canonical one, the steep one was displaced by 0.03 to 0.13 px, and 0.24 px small.
+
+    With the crossings of Lambertian ground all were up to 0.06 px small on Lommel-Seeliger ground.
+    """
     rho, slope, height = cross_section()
     every = []
     for azimuth_deg in (20.0, 60.0, 120.0, 160.0):
@@ -66,8 +71,36 @@ def test_a_shallow_or_steep_crater_is_as_large_and_where_it_is(steepness, emissi
         view = np.deg2rad(emission_deg), np.deg2rad(azimuth_deg)
         image, chart, shading = crater(28.0, *view, LunarLambert(share, 0.0), section)
         every.append(errors_px(image, chart, shading))
-    assert np.abs(np.array(every)[:, 0]).max() < 0.04
-    assert np.abs(np.array(every)[:, 1:]).max() < 0.06
+    assert np.abs(np.array(every)[:, 0]).max() < 0.035
+    assert np.abs(np.array(every)[:, 1:]).max() < 0.03
+
+
+@pytest.mark.parametrize(("steepness", "limit"), [(0.5, 0.2e-3), (1.0, 0.4e-3)])
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_crossings_are_those_of_the_photometric_law(share, steepness, limit):
+    """Those of Lambertian ground were off by 1e-3 to 4e-3 of the radius under other laws or steepness."""
+    blur = 0.06
+    slope = steepness * canonical.seen_ground(0.0)[2]
+
+    def brightness(slopes, elevation, emission, towards_sun, towards_camera):
+        length = np.hypot(1.0, slopes)
+        mu0 = np.maximum(np.sin(elevation) - slopes * np.cos(elevation) * towards_sun, 0.0) / length
+        mu = (np.cos(emission) - slopes * np.sin(emission) * towards_camera) / length
+        return share * 2.0 * mu0 / (mu0 + mu) + (1.0 - share) * mu0
+
+    off, emission, h = [], np.deg2rad(20.0), 1e-4
+    for elevation in np.deg2rad([25.0, 40.0, 60.0]):
+        for towards in ((0.9, 0.0), (-0.9, 0.0), (0.6, 0.8), (-0.6, 0.8), (0.6, -0.8)):
+            of_view = elevation, emission, *towards
+            flat, up, down = brightness(np.array([0.0, h, -h]), *of_view)
+            contrast, bend = (up - down) / (2.0 * h * flat), (up + down - 2.0 * flat) / (2.0 * h * h * flat)
+            if abs(contrast) < _FAINT:
+                continue
+            excess = np.sign(contrast) * (brightness(slope, *of_view) / flat - 1.0)
+            true = canonical.crossing(canonical.blurred(excess, np.array([blur]))[0], 1.0) - 1.0
+            odd, bent, _ = crossing_parts(TABLES, -0.5 * contrast / bend, 0.0, blur, steepness, share)
+            off.append(odd + bent - true)
+    assert np.sqrt(np.mean(np.square(off))) < limit
 
 
 def test_parts_of_a_crossing_are_those_of_a_scaled_crater():
@@ -84,9 +117,9 @@ def test_parts_of_a_crossing_are_those_of_a_scaled_crater():
         for contrast in (0.5, 0.8, 1.2, 2.0):
             true = [crossing(c, 0.0, steepness) for c in (contrast, -contrast)]
             expected.append(0.5 * (true[0] - true[1]))
-            parts = crossing_parts(TABLES, contrast, 0.4, blur, steepness)
+            parts = crossing_parts(TABLES, contrast, 0.4, blur, steepness, 0.0)
             found.append(parts[1])
-            former.append(crossing_parts(TABLES, contrast, 0.4, blur, 1.0)[1])
+            former.append(crossing_parts(TABLES, contrast, 0.4, blur, 1.0, 0.0)[1])
             # Lifted ground is displaced towards the camera, by a tenth of a per cent or two.
             lifted = crossing(contrast, 0.4, steepness) - true[0]
             assert parts[2] == pytest.approx(lifted, abs=1.2e-3 if contrast > 0.5 else 3e-3)

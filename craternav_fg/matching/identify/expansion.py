@@ -213,11 +213,15 @@ class Search:
         Expanded
             With at least as much evidence.
         """
+        # A fit forgets where it began: the same pairs and noise lead to the same pose, whichever turn it is.
+        starts, ends = set[tuple[bytes, float]](), set[tuple[bytes, float]]()
         for _ in range(_MAX_VARIED):
-            others = [
-                self.expand_from(expanded.gTc.copy(), match.copy(), noise)
-                for match, noise in self._starts(expanded)
-            ]
+            others = []
+            for match, noise in self._starts(expanded):
+                start = (match.tobytes(), noise)
+                if start not in starts:
+                    starts.add(start)
+                    others.append(self.expand_from(expanded.gTc.copy(), match.copy(), noise, ends))
             best = max((one for one in others if one is not None), key=_evidence, default=expanded)
             gain, expanded = best.log_ratio - expanded.log_ratio, max(expanded, best, key=_evidence)
             if gain < _LEAST_GAIN:
@@ -255,7 +259,9 @@ class Search:
             out.append(match.copy())
         return out
 
-    def expand_from(self, gTc: FloatArray, match: IntArray, noise: float) -> Expanded | None:
+    def expand_from(
+        self, gTc: FloatArray, match: IntArray, noise: float, known: set[tuple[bytes, float]] | None = None
+    ) -> Expanded | None:
         """Expand a pose with some pairs, and compute the evidence.
 
         Parameters
@@ -266,11 +272,13 @@ class Search:
             Row of each rim's crater, -1 for none. Changed.
         noise : float
             Assumed noise of the centres, px.
+        known : set, optional
+            Pairs and noise of poses whose evidence is known, and to which this one's are added.
 
         Returns
         -------
         Expanded or None
-            None if the fit fails or too few rims agree.
+            None if the fit fails, too few rims agree, or the evidence is known.
         """
         craters, index = self.index.craters, self.index.catalog.index
         N, sigma = np.empty((6, 6)), np.empty(3)
@@ -279,6 +287,11 @@ class Search:
         )
         if pairs < MIN_RIMS:
             return None
+        if known is not None:
+            end = (match.tobytes(), noise)
+            if end in known:
+                return None
+            known.add(end)
         if np.trace(np.linalg.inv(N)[:3, :3]) > _MAX_ATTITUDE_SIGMA_RAD**2:
             return None
         ratio = log_evidence(

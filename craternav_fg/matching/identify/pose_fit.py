@@ -103,16 +103,15 @@ def normal_equations(
     else:
         N[:] = 0.0
         g[:] = 0.0
-    for a in range(6):
-        for k in range(5 * count):
+    # One residual after the other: its products do not wait for each other, as the terms of a sum would.
+    for k in range(5 * count):
+        for a in range(6):
             g[a] += out[a, k] * out[6, k]
-        for b in range(a + 1):
-            total = 0.0
-            for k in range(5 * count):
-                total += out[a, k] * out[b, k]
-            N[a, b] += total
-            if a != b:
-                N[b, a] += total
+            for b in range(a + 1):
+                N[a, b] += out[a, k] * out[b, k]
+    for a in range(6):
+        for b in range(a):
+            N[b, a] = N[a, b]
     trace = 0.0
     for a in range(6):
         trace += N[a, a]
