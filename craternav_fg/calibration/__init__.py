@@ -50,6 +50,7 @@ sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    -0.02
 ..                   floor_rad, squared, deg2                      4       5.7 ± 1.1, confirmed
 ..                   floor_oblique_rad, squared, deg2              64      118 ± 45, not contradicted
 crest_asymmetry      crest_asymmetry.DISPLACEMENT                  table   exact
+..                   crest_asymmetry.FLANK_LIFT                    0.031   exact
 crest_blur           crest_blur.LOG_FOUND, CREST_SPREAD            tables  exact
 robust_moments       ellipse_bias.PSI_VARIANCE                     1.0526  exact
 ..                   ellipse_bias.PSI_CURVATURE                    0.4428  exact

@@ -156,7 +156,7 @@ def traced_rim(
         # As from above, and by Lambert's law: the slope contrast is the tangent of the angle of incidence.
         contrast = given.contrast / np.hypot(u, v) * sun
         shading = RimShading(reference, even, contrast, lambertian, cosines[0] * contrast, even, cosines, 0.0)
-        points, ratio, motion, tried, _, _, _ = trace_rim(
+        points, ratio, motion, tried, _, _ = trace_rim(
             image, chart, shading, reach_px, given.smoothing_share, given.smoothing_px, given.psf_px,
             given.min_slope_contrast, given.min_step, given.noise_step / reference, normals, given.tables,
             given.lens, np.zeros(LEVEL_TERMS), False,

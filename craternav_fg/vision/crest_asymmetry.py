@@ -21,6 +21,10 @@ _LEAST_NARROWNESS, _LARGEST_NARROWNESS = 0.6, 3.0
 # Displacement over the canonical crater's: coefficients of b, b^2 and b ln n, with the bluntness b and the
 # narrowness n. Fitted over three families of crests by `craternav_fg.calibration.crest_asymmetry`.
 DISPLACEMENT = (0.771, 0.307, 0.305)
+# What the lift does to the brightness at the crest's share of the step between the flanks, beyond what it
+# does to the canonical crater's, over the slope contrast, the lift, the square of the steepness and the
+# logarithm of the narrowness. Fitted as well.
+FLANK_LIFT = 0.031
 
 
 @njit(cache=True, error_model="numpy")
@@ -92,3 +96,26 @@ def displacement_share(blunt: float, narrowness: float) -> float:
     """
     b, b2, b_log_n = displacement_terms(blunt, narrowness)
     return DISPLACEMENT[0] * b + DISPLACEMENT[1] * b2 + DISPLACEMENT[2] * b_log_n
+
+
+@njit(cache=True, error_model="numpy")
+def lift_of_flanks(steepness: float, narrowness: float) -> float:
+    """Compute how much brighter the lift makes both flanks than the canonical crater's.
+
+    In an oblique view the flanks have more or less of a round crest on them; those of a sharp one are walls
+    that are stretched or foreshortened.
+
+    Parameters
+    ----------
+    steepness : float
+        Over the canonical crater's.
+    narrowness : float
+        See `displacement_terms`.
+
+    Returns
+    -------
+    float
+        Relative brightness at the crest's share of the step, over the slope contrast and the lift.
+    """
+    n = min(max(narrowness, _LEAST_NARROWNESS), _LARGEST_NARROWNESS)
+    return FLANK_LIFT * steepness * steepness * np.log(n)

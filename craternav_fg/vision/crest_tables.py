@@ -64,8 +64,9 @@ class CrestTables(NamedTuple):
         Outward displacement of the crossing from the image of the crest, in radii.
     ratios : ndarray, shape (k,)
         Grid: second order of the slope over the first, of Lommel-Seeliger ground.
-    lommel_crossings : ndarray, shape (b, k)
-        Displacement of the crossing as above, seen from above.
+    lommel_crossings, lommel_falls : ndarray, shape (b, k)
+        There, seen from above: displacement of the crossing as above, and fall at the crossing over that of
+        the blurred slope.
     falls : ndarray, shape (b,)
         Fall of the blurred slope at its crossing, seen from above, 1/radii.
     flanks : ndarray, shape (r, l, 2, 10, 3)
@@ -80,6 +81,7 @@ class CrestTables(NamedTuple):
     crossings: FloatArray
     ratios: FloatArray
     lommel_crossings: FloatArray
+    lommel_falls: FloatArray
     falls: FloatArray
     flanks: FloatArray
 
@@ -118,7 +120,7 @@ def crest_tables(psf_px: float, smoothing_px: float, smoothing_share: float) -> 
                 flanks[i, k, j, :, 2] = np.interp(at, canonical.IMAGE_RADII, slope)
     flanks.flags.writeable = False
     return CrestTables(
-        BLUR_RADII, SLOPE_CONTRASTS, LIFTS, _INVERSE_RADII_PX, crossings, _RATIOS, _lommel_table(),
+        BLUR_RADII, SLOPE_CONTRASTS, LIFTS, _INVERSE_RADII_PX, crossings, _RATIOS, *_lommel_tables(),
         _fall_table(), flanks,
     )  # fmt: skip
 
@@ -153,29 +155,33 @@ def _crossing_table() -> FloatArray:
 
 
 @cache
-def _lommel_table() -> FloatArray:
-    table = np.empty((len(BLUR_RADII), len(_RATIOS)))
+def _lommel_tables() -> tuple[FloatArray, FloatArray]:
+    crossings, falls = np.empty((2, len(BLUR_RADII), len(_RATIOS)))
     _, _, slope = canonical.seen_ground(0.0)
     for j, ratio in enumerate(_RATIOS.tolist()):
-        place = 1.0
         excess = slope / np.maximum(1.0 - ratio * slope, _LEAST_DENOMINATOR)
-        for i, profile in enumerate(canonical.blurred(excess, BLUR_RADII)):
-            place = canonical.crossing(profile, place)
-            table[i, j] = place - 1.0
-    table.flags.writeable = False
-    return table
+        places, falls[:, j] = _crossings_of(excess)
+        crossings[:, j] = places - 1.0
+    falls /= _fall_table()[:, None]
+    crossings.flags.writeable = falls.flags.writeable = False
+    return crossings, falls
 
 
 @cache
 def _fall_table() -> FloatArray:
-    _, _, slope = canonical.seen_ground(0.0)
-    falls = np.empty(len(BLUR_RADII))
-    place = 1.0
-    for i, profile in enumerate(canonical.blurred(slope, BLUR_RADII)):
-        place = canonical.crossing(profile, place)
-        falls[i] = -np.interp(place, canonical.IMAGE_RADII, np.gradient(profile, canonical.STEP_RADII))
+    _, falls = _crossings_of(canonical.seen_ground(0.0)[2])
     falls.flags.writeable = False
     return falls
+
+
+def _crossings_of(profile: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Places (b,) of the crossing of a profile with more and more blur, and falls (b,) there, in radii."""
+    places, falls = np.empty((2, len(BLUR_RADII)))
+    place = 1.0
+    for i, one in enumerate(canonical.blurred(profile, BLUR_RADII)):
+        places[i] = place = canonical.crossing(one, place)
+        falls[i] = -np.interp(place, canonical.IMAGE_RADII, np.gradient(one, canonical.STEP_RADII))
+    return places, falls
 
 
 @njit(cache=True, error_model="numpy")
@@ -253,17 +259,24 @@ def turning(view: NormalView, blur: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def expected_fall(tables: CrestTables, blur: float) -> float:
-    """Return the canonical crater's fall of the slope at the crossing, 1/radii.
+def expected_fall(
+    tables: CrestTables, contrast: float, blur: float, steepness: float, lommel_share: float
+) -> float:
+    """Compute the canonical crater's fall of the brightness at the crossing over the slope contrast, 1/radii.
+
+    On Lambertian ground it is the fall of the slope within a few per cent.
 
     Parameters
     ----------
     tables : CrestTables
-    blur : float
-        Standard deviation, in radii.
+    contrast, blur, steepness, lommel_share : float
+        As in `crossing_parts`. The fall is that of a crater as steep as the canonical one, on ground whose
+        orders of the slope have the ratio that they have for the steepness.
     """
     i, u = _cell(tables.blurs, blur)
-    return (1.0 - u) * tables.falls[i] + u * tables.falls[i + 1]
+    k, w = _cell(tables.ratios, -0.5 * steepness / contrast)
+    of_law = 1.0 + lommel_share * (_bilinear(tables.lommel_falls, i, k, u, w) - 1.0)
+    return of_law * ((1.0 - u) * tables.falls[i] + u * tables.falls[i + 1])
 
 
 @njit(cache=True, error_model="numpy")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from craternav_fg.vision.crest_asymmetry import bluntness, displacement_share
+from craternav_fg.vision.crest_asymmetry import bluntness, displacement_share, lift_of_flanks
 from craternav_fg.vision.crest_tables import (
     CrestTables,
     crossing_parts,
@@ -192,7 +192,7 @@ def trace_rim(
     image: ImageArray, chart_px: FloatArray, shading: RimShading, reach_px: float, smoothing_share: float,
     smoothing_px: float, psf_px: float, min_slope_contrast: float, min_step: float, noise_step: float,
     count: int, tables: CrestTables, lens: FloatArray, ground: FloatArray, thorough: bool,
-) -> tuple[FloatArray, FloatArray, FloatArray, int, float, FloatArray, FloatArray]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray, FloatArray, int, FloatArray, FloatArray]:  # fmt: skip
     """Find the edge points of one rim.
 
     Parameters
@@ -239,8 +239,6 @@ def trace_rim(
         Motion of the points, px, per relative change of the reference brightness.
     tried : int
         Normals with enough contrast that lie in the image.
-    displaced : float
-        Displacement of the crossing by the asymmetry of the crest, over the canonical crater's.
     level : ndarray, shape (n,)
         Brightness of level ground at the points, relative to the level searched at, less 1; see
         `ground_level`. Times `motion` it takes the points to where the brightness crosses that level.
@@ -352,7 +350,6 @@ def trace_rim(
         blurs[found, 0] = blur
         if not lost[found]:
             seen_fall += np.abs(contrast) * fall * h
-            canonical += contrast * contrast * expected_fall(tables, blur)
         wide = SECOND_SMOOTHING_FACTOR * smooth
         again = crossing_near(raw, where, n_side + n_side // 2, wide_kernel, thorough)
         blurs[found, 1] = np.sqrt(wide * wide + psf_px * psf_px) / h
@@ -381,14 +378,22 @@ def trace_rim(
         found += 1
     rounds = _ROUNDS if thorough else 1
     steepness = _flanks_of_steepness(tables, light, normals[:found], flanks[:found], slopes, bends, rounds)
+    share = light.lommel_share
+    for i in range(found):
+        if not lost[i]:
+            view, of_law = _kept(normals[i]), share if thorough else 0.0
+            fall = expected_fall(tables, of_lambertian(view), blurs[i, 0], steepness, of_law)
+            canonical += view.contrast * view.contrast * fall
     fall_share = seen_fall / canonical
     narrow = fall_share / max(steepness, _LEAST_STEEPNESS)
     if thorough:
         bends_share, lift_share, scale = narrow, 1.0, steepness
+        lifted = lift_of_flanks(steepness, narrow)
+        for i in range(found):
+            bends[i] += lifted * normals[i, 2] * normals[i, 5]
     else:
         bends_share = lift_share = min(fall_share / max(steepness, 1.0), _MOST_NARROW_OF_BLIND)
         scale = 1.0
-    share = light.lommel_share
     shapes = _crossing_shapes(tables, share, normals[:found], blurs[:found], bends_share, lift_share, scale)
     blunt = bluntness(moved[:found], shapes[:, 2], shapes[:, 3], contrasts[:found])
     displaced = displacement_share(blunt, narrow) if thorough else blunt
@@ -423,7 +428,7 @@ def trace_rim(
         points[i, 1] += first[i] * normal[i, 1]
         if bent:
             back_through_lens(points[i], motion[i], lens)
-    return points[:found], ratio[:found], motion[:found], tried, displaced, level, evidence
+    return points[:found], ratio[:found], motion[:found], tried, level, evidence
 
 
 @njit(cache=True, error_model="numpy")

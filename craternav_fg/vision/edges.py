@@ -145,7 +145,7 @@ def find_edge_points(
     """
     count = edge_kernel.normal_count(radius_px)
     noise_step = options.noise_step(noise) / shading.reference
-    points, ratio, motion, tried, _, level, evidence = edge_kernel.trace_rim(
+    points, ratio, motion, tried, level, evidence = edge_kernel.trace_rim(
         image, chart_px, shading, reach_px, options.smoothing_share, options.smoothing_px,
         camera.psf_sigma_px, options.min_slope_contrast, options.min_step_share, noise_step, count,
         options.crest_tables(camera.psf_sigma_px), camera.lens,

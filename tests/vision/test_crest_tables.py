@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.photometry import LunarLambert
+from craternav_fg.simulation.crater_shape import crater_profile
 from craternav_fg.vision import crater_profile as canonical
 from craternav_fg.vision.crest_tables import LIFTS, SLOPE_CONTRASTS, crest_tables, crossing_parts
 from craternav_fg.vision.edges import EdgeOptions
@@ -71,8 +72,25 @@ def test_a_shallow_or_steep_crater_is_as_large_and_where_it_is(steepness, emissi
         view = np.deg2rad(emission_deg), np.deg2rad(azimuth_deg)
         image, chart, shading = crater(28.0, *view, LunarLambert(share, 0.0), section)
         every.append(errors_px(image, chart, shading))
-    assert np.abs(np.array(every)[:, 0]).max() < 0.035
+    assert np.abs(np.array(every)[:, 0]).max() < 0.04
     assert np.abs(np.array(every)[:, 1:]).max() < 0.03
+
+
+def test_sharp_crests_seen_obliquely_are_not_displaced():
+    """With flanks lifted as those of the canonical crater they were 0.05 px nearer the camera."""
+    rho, *_ = cross_section()
+    every = []
+    for crest in (0.015, 0.06):
+        height = np.array([crater_profile(r, 0.4, 0.09, crest) for r in rho])
+        top = rho[np.argmax(height)]
+        height = np.array([crater_profile(r * top, 0.4, 0.09, crest) for r in rho]) / top
+        section = rho, np.gradient(height, rho), height - np.interp(1.0, rho, height)
+        for share in (0.0, 1.0):
+            for azimuth_deg in (20.0, 60.0, 120.0, 160.0):
+                view = np.deg2rad(25.0), np.deg2rad(azimuth_deg)
+                image, chart, shading = crater(28.0, *view, LunarLambert(share, 0.0), section)
+                every.append(errors_px(image, chart, shading))
+    assert abs(np.mean(every, axis=0)[0]) < 0.03
 
 
 @pytest.mark.parametrize(("steepness", "limit"), [(0.5, 0.2e-3), (1.0, 0.4e-3)])
