@@ -26,7 +26,7 @@ from factors.kernels.compiled import njit
 # Grids of the tables: standard deviation of the blur, in radii, slope contrast across the rim, lift, and the
 # reciprocal of the radius along the normal, 1/px.
 BLUR_RADII = np.linspace(0.0, 0.24, 25)
-SLOPE_CONTRASTS = np.linspace(-4.0, 4.0, 33)
+SLOPE_CONTRASTS = np.linspace(-4.0, 4.0, 17)
 LIFTS = np.linspace(-2.4, 2.4, 25)
 # Grid of the ratio of the second order of the slope to the first on Lommel-Seeliger ground, and the least of
 # the denominator there: beyond, the ground is hardly seen.
