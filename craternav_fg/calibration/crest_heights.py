@@ -31,7 +31,7 @@ from craternav_fg.catalogs.heights import (
     rims_within,
 )
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.mapping.refine import refine_on_dem
+from craternav_fg.mapping.refine import RefinedRims, refine_on_dem
 from factors.arrays import FloatArray
 
 CATALOG, COARSE = "lu1319381.parquet", "gld100/gld100_16ppd_global.tif"
@@ -76,6 +76,25 @@ def crest_heights(folder: Path) -> None:
         console.print(f"{one.name}: {one.shipped:.3g}, regenerated {regenerated}")
 
 
+def measured_rims(catalog: Catalog, dem: Dem) -> RefinedRims:
+    """Measure the rims of a catalogue that an elevation model of the Moon shows well.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    dem : Dem
+
+    Returns
+    -------
+    RefinedRims
+        Of the craters with a radius of 0.5 to 20 km that lie on the model.
+    """
+    low_m, high_m = _RADII_M
+    radius_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
+    rows = np.flatnonzero((radius_m > low_m) & (radius_m < high_m) & rims_within(catalog, dem))
+    return refine_on_dem(catalog.take(rows), dem)
+
+
 def lost_heights(catalog: Catalog, fine: Dem, coarse: Dem) -> LostHeights:
     """Compare the heights of crests with those that a coarse model gives for the same rims.
 
@@ -88,10 +107,7 @@ def lost_heights(catalog: Catalog, fine: Dem, coarse: Dem) -> LostHeights:
     -------
     LostHeights
     """
-    low_m, high_m = _RADII_M
-    radius_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
-    rows = np.flatnonzero((radius_m > low_m) & (radius_m < high_m) & rims_within(catalog, fine))
-    rims = refine_on_dem(catalog.take(rows), fine)
+    rims = measured_rims(catalog, fine)
     found = rims.catalog.take(np.flatnonzero(rims.refined))
     mean_m, scatter_m = along_rims(found, coarse)
     lost_m = found.height_m + chord_depths_m(found) - mean_m

@@ -12,19 +12,15 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from craternav_fg.calibration.crest_heights import CATALOG, REGIONS
+from craternav_fg.calibration.crest_heights import CATALOG, REGIONS, measured_rims
 from craternav_fg.calibration.regenerated import Regenerated
 from craternav_fg.catalogs.bodies import named_body
 from craternav_fg.catalogs.dem import Dem, read_dem
 from craternav_fg.catalogs.files import import_catalog
-from craternav_fg.catalogs.heights import rims_within
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.mapping.refine import refine_on_dem
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions
 from craternav_fg.vision.robust_scale import MAD_TO_SIGMA
 from factors.arrays import FloatArray
-
-_RADII_M = (500.0, 20e3)
 
 
 def rim_tilts(folder: Path) -> None:
@@ -59,10 +55,7 @@ def measured_tilts(catalog: Catalog, dem: Dem) -> FloatArray:
     ndarray, shape (n, 2)
         Towards east and north, rad, of the rims that are found.
     """
-    low_m, high_m = _RADII_M
-    radius_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
-    rows = np.flatnonzero((radius_m > low_m) & (radius_m < high_m) & rims_within(catalog, dem))
-    rims = refine_on_dem(catalog.take(rows), dem)
+    rims = measured_rims(catalog, dem)
     return np.asarray(rims.tilt_rad[rims.refined])
 
 
