@@ -17,7 +17,7 @@ FRAMES = 12_000
 
 
 def sizes_and_times(lag_s: float | None) -> tuple[list[int], list[float], int]:
-    """Resident memory (kB) after each half of the frames, CPU seconds of each, and how many were estimated."""
+    """Resident memory (kB) after each half of the frames, CPU seconds of each half, and states estimated."""
     problem = make(FRAMES, 5).problem
     session = OnlineSession(problem, solver=None if lag_s is None else FixedLagIsam(lag_s))
     session.begin(problem.frames[0], problem.start)
