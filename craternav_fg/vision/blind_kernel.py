@@ -11,7 +11,8 @@ from craternav_fg.ellipse import moments_kernel, points_on, semi_axes_kernel, wh
 from craternav_fg.vision import ellipse_kernel
 from craternav_fg.vision.crest_tables import CrestTables
 from craternav_fg.vision.dense_kernel import ordered
-from craternav_fg.vision.edge_kernel import normal_count, trace_rim
+from craternav_fg.vision.edge_kernel import trace_rim
+from craternav_fg.vision.flank_kernel import normal_count
 from craternav_fg.vision.ground_level import LEVEL_TERMS
 from craternav_fg.vision.reference_brightness import MIN_REFERENCE_BRIGHTNESS
 from craternav_fg.vision.rim_shading import RimShading

@@ -7,15 +7,22 @@ from craternav_fg.vision.crest_tables import (
     CrestTables,
     crossing_parts,
     expected_fall,
-    flank_terms,
     of_lambertian,
     turning,
+)
+from craternav_fg.vision.flank_kernel import (
+    LEAST_STEEPNESS,
+    MOST_STEEPNESS,
+    NORMAL_TERMS,
+    ROUNDS,
+    flanks_of_steepness,
+    keep,
+    kept,
 )
 from craternav_fg.vision.ground_level import (
     evidence_of_level,
     level_at,
     levels_of_flanks,
-    steepness_of_flanks,
 )
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS
 from craternav_fg.vision.normal_profile import (
@@ -33,8 +40,6 @@ from craternav_fg.vision.normal_profile import (
 )
 from craternav_fg.vision.rim_geometry import back_through_lens, distorts, rim_point, through_lens
 from craternav_fg.vision.rim_shading import (
-    NormalView,
-    RimLight,
     RimShading,
     contrast_across,
     normal_view,
@@ -44,10 +49,6 @@ from craternav_fg.vision.rim_shading import (
 from factors.arrays import FloatArray, ImageArray
 from factors.kernels.compiled import njit
 
-# Normals per pixel of radius, and their range: one every three pixels along the rim of a
-# mid-sized crater.
-_NORMALS_PER_PX = 2.0
-_MIN_NORMALS, _MAX_NORMALS = 56, 160
 # Width of the second smoothing over that of the first: the crossing's displacement between them is observed.
 SECOND_SMOOTHING_FACTOR = 2.2
 # Share of a rim's largest slope contrast below which errors of the reference brightness and of the rim's own
@@ -58,30 +59,12 @@ _FLAT_CONTRAST_SHARE = 0.35
 # all around; and the range of how narrow a crest is, see `crest_asymmetry.displacement_terms`.
 _FALL_PRIOR = 1.0
 _LEAST_NARROW, _MOST_NARROW, _MOST_NARROW_OF_BLIND = 0.2, 3.0, 2.0
-# Range of the steepness over the canonical crater's: of less, the step between the flanks tells nothing.
-_LEAST_STEEPNESS, _MOST_STEEPNESS = 0.2, 2.5
-# Rounds in which the steepness is found of flanks whose slopes bend the brightness.
-_ROUNDS = 2
-# Terms of a normal that are kept: its view and its radius.
-_NORMAL_TERMS = 9
 # An edge is ambiguous if the second best one on its normal scores more than this share of the best.
 _MAX_SECOND_SCORE = 0.75
 # Share of the step from the outer slope to the inner wall at which an edge is searched without a reference,
 # before the rim's own share is known. How much of such an edge's level may be missing from it, as a share of
 # that of others: the level is known to be large, or the reference would have been crossed.
 _CREST_SHARE, _LOST_SHARE = 0.25, 0.5
-
-
-@njit(cache=True, error_model="numpy")
-def normal_count(radius_px: float) -> int:
-    """Return the number of normals around a rim.
-
-    Parameters
-    ----------
-    radius_px : float
-        Size of the rim.
-    """
-    return int(min(max(_NORMALS_PER_PX * radius_px, _MIN_NORMALS), _MAX_NORMALS))
 
 
 @njit(cache=True, error_model="numpy")
@@ -126,41 +109,6 @@ def _edge_between_flanks(
 
 
 @njit(cache=True, error_model="numpy")
-def _keep(view: NormalView, radius_px: float, out: FloatArray) -> None:
-    """Write a view and the radius along its normal, px, to an array (9,)."""
-    out[0], out[1], out[2], out[3] = view.cosine, view.sine, view.contrast, view.along
-    out[4], out[5], out[6], out[7] = view.curvature, view.lift, view.lift_along, view.lean
-    out[8] = radius_px
-
-
-@njit(cache=True, error_model="numpy")
-def _kept(row: FloatArray) -> NormalView:
-    """Return the view of an array (9,), see `_keep`."""
-    return NormalView(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7])
-
-
-@njit(cache=True, error_model="numpy")
-def _flanks_of_steepness(
-    tables: CrestTables, light: RimLight, normals: FloatArray, flanks: FloatArray, slopes: FloatArray,
-    bends: FloatArray, rounds: int,
-) -> float:  # fmt: skip
-    """Compute what flanks (n, 2) show whose step is that which is seen, see `flank_terms`.
-
-    Views (n, 9) are those of `_keep`; slopes and bends (n, 2) are written. Returns the steepness, over the
-    canonical crater's. In the first of the rounds it is that crater's.
-    """
-    count = len(normals)
-    contrasts = normals[:, 2]
-    steepness, step = 1.0, 1.0
-    for _ in range(rounds):
-        steepness = min(max(steepness * step, _LEAST_STEEPNESS), _MOST_STEEPNESS)
-        for i in range(count):
-            flank_terms(tables, light, _kept(normals[i]), normals[i, 8], steepness, slopes[i], bends[i])
-        step = steepness_of_flanks(flanks, contrasts, slopes[:count], bends[:count])
-    return steepness * step
-
-
-@njit(cache=True, error_model="numpy")
 def _crossing_shapes(
     tables: CrestTables, lommel_share: float, normals: FloatArray, blurs: FloatArray, narrow: float,
     lift_share: float, steepness: float,
@@ -168,15 +116,15 @@ def _crossing_shapes(
     """Compute outward displacements (n, 4) of crossings, px, of the canonical crest but for its wear.
 
     What the asymmetry does, what the second order and the lift do; the same for the motion from the first
-    smoothing to the second. Views (n, 9) are those of `_keep`; blurs (n, 2) are standard deviations, in
+    smoothing to the second. Views (n, 9) are those of `keep`; blurs (n, 2) are standard deviations, in
     radii; of what the lift does a share counts.
     """
     out = np.empty((len(blurs), 4))
     narrow = min(max(narrow, _LEAST_NARROW), _MOST_NARROW)
     lift_share = max(lift_share, _LEAST_NARROW)
-    steepness = min(max(steepness, _LEAST_STEEPNESS), _MOST_STEEPNESS)
+    steepness = min(max(steepness, LEAST_STEEPNESS), MOST_STEEPNESS)
     for i in range(len(blurs)):
-        view, h = _kept(normals[i]), normals[i, 8]
+        view, h = kept(normals[i]), normals[i, 8]
         for k in range(2):
             odd, bent, lifted = crossing_parts(
                 tables, of_lambertian(view), view.lift, blurs[i, k], steepness, lommel_share
@@ -251,7 +199,7 @@ def trace_rim(
     normal = np.empty((count, 2))
     first = np.empty(count)
     contrasts = np.empty(count)
-    normals, blurs, moved = np.empty((count, _NORMAL_TERMS)), np.empty((count, 2)), np.empty(count)
+    normals, blurs, moved = np.empty((count, NORMAL_TERMS)), np.empty((count, 2)), np.empty(count)
     angles = np.empty(count)
     flanks, slopes, bends = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
     near = np.empty((count, 2 * MAX_SIDE_SAMPLES + 2))
@@ -368,7 +316,7 @@ def trace_rim(
         middle = int(where)
         flanks[found, 0] = sign * mean_between(raw, middle - gap - n_side + 1, middle - gap + 1)
         flanks[found, 1] = sign * mean_between(raw, middle + 1 + gap, middle + 1 + gap + n_side)
-        _keep(view, h, normals[found])
+        keep(view, h, normals[found])
         for j in range(2 * n_side + 2):
             near[found, j] = soft[middle - n_side + j]
         sides[found] = n_side
@@ -376,16 +324,16 @@ def trace_rim(
         steps[found] = step
         falls[found] = sign * fall
         found += 1
-    rounds = _ROUNDS if thorough else 1
-    steepness = _flanks_of_steepness(tables, light, normals[:found], flanks[:found], slopes, bends, rounds)
+    rounds = ROUNDS if thorough else 1
+    steepness = flanks_of_steepness(tables, light, normals[:found], flanks[:found], slopes, bends, rounds)
     share = light.lommel_share
     for i in range(found):
         if not lost[i]:
-            view, of_law = _kept(normals[i]), share if thorough else 0.0
+            view, of_law = kept(normals[i]), share if thorough else 0.0
             fall = expected_fall(tables, of_lambertian(view), blurs[i, 0], steepness, of_law)
             canonical += view.contrast * view.contrast * fall
     fall_share = seen_fall / canonical
-    narrow = fall_share / max(steepness, _LEAST_STEEPNESS)
+    narrow = fall_share / max(steepness, LEAST_STEEPNESS)
     if thorough:
         bends_share, lift_share, scale = narrow, 1.0, steepness
         lifted = lift_of_flanks(steepness, narrow)
@@ -429,72 +377,3 @@ def trace_rim(
         if bent:
             back_through_lens(points[i], motion[i], lens)
     return points[:found], ratio[:found], motion[:found], tried, level, evidence
-
-
-@njit(cache=True, error_model="numpy")
-def flanks_around(
-    image: ImageArray, chart_px: FloatArray, shading: RimShading, smoothing_share: float, smoothing_px: float,
-    psf_px: float, count: int, tables: CrestTables, lens: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Sample the brightness of the flanks of a known crest, all around the rim.
-
-    Parameters
-    ----------
-    image : ndarray of float32, shape (H, W)
-        Brightness, 0 to 255.
-    chart_px : ndarray, shape (5,)
-        Fitted rim, chart in pixels of the camera without distortion.
-    shading : RimShading
-    smoothing_share, smoothing_px, psf_px : float
-        As in `trace_rim`, as the next two.
-    count : int
-    tables : CrestTables
-    lens : ndarray, shape (14,)
-        `Camera.lens`: intrinsics, px, and distortion.
-
-    Returns
-    -------
-    angles : ndarray, shape (n,)
-        Affine angles of the normals that lie in the image.
-    flanks, contrasts, slopes, bends : ndarray, shapes (n, 2), (n,), (n, 2), (n, 2)
-        See `ground_level.levels_of_flanks`.
-    """
-    angles, contrasts = np.empty(count), np.empty(count)
-    flanks, slopes, bends = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
-    normals = np.empty((count, _NORMAL_TERMS))
-    q = np.empty(6)
-    bent = distorts(lens)
-    light = rim_light(chart_px, shading)
-    samples = np.empty(0)
-    found = 0
-    for k in range(count):
-        angle = 2.0 * np.pi * (k + 0.5) / count
-        rim_point(chart_px, angle, q)
-        view = normal_view(chart_px, light, shading.curvature_px, angle, q)
-        local = shading.reference * reference_along(shading.gradient, chart_px, q)
-        if bent:
-            through_lens(q, lens)
-        h = q[4]
-        step = sample_step(h)
-        smooth = smoothing_px_at(h, smoothing_px, smoothing_share)
-        gap, n_side = flank_samples(h, step, smooth, psf_px)
-        blur = np.sqrt(smooth * smooth + psf_px * psf_px) / h
-        parts = crossing_parts(tables, of_lambertian(view), view.lift, blur, 1.0, light.lommel_share)
-        shift = h * (parts[0] + parts[1] + parts[2] + turning(view, blur)) / step
-        half = gap + n_side + int(np.abs(shift)) + 2
-        if 2 * half + 1 > len(samples):
-            samples = np.empty(4 * half)
-        raw = samples[: 2 * half + 1]
-        if not sample_normal(image, q, step, raw):
-            continue
-        middle = int(half + shift)
-        inner = mean_between(raw, middle - gap - n_side + 1, middle - gap + 1)
-        outer = mean_between(raw, middle + 1 + gap, middle + 1 + gap + n_side)
-        if np.isnan(inner + outer) or max(inner, outer) > SATURATED_BRIGHTNESS:
-            continue
-        angles[found], contrasts[found] = angle, view.contrast
-        flanks[found, 0], flanks[found, 1] = inner / local - 1.0, outer / local - 1.0
-        _keep(view, h, normals[found])
-        found += 1
-    _flanks_of_steepness(tables, light, normals[:found], flanks[:found], slopes, bends, _ROUNDS)
-    return angles[:found], flanks[:found], contrasts[:found], slopes[:found], bends[:found]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from craternav_fg.camera import Camera
-from craternav_fg.vision import edge_kernel
+from craternav_fg.vision import edge_kernel, flank_kernel
 from craternav_fg.vision.crest_tables import CrestTables, crest_tables
 from craternav_fg.vision.ground_level import LEVEL_TERMS, smooth_level
 from craternav_fg.vision.rim_shading import RimShading
@@ -143,7 +143,7 @@ def find_edge_points(
     EdgePoints
         Possibly empty.
     """
-    count = edge_kernel.normal_count(radius_px)
+    count = flank_kernel.normal_count(radius_px)
     noise_step = options.noise_step(noise) / shading.reference
     points, ratio, motion, tried, level, evidence = edge_kernel.trace_rim(
         image, chart_px, shading, reach_px, options.smoothing_share, options.smoothing_px,
@@ -181,8 +181,8 @@ def level_around(
     ndarray, shape (5,)
         See `ground_level.smooth_level`.
     """
-    flanks = edge_kernel.flanks_around(
+    flanks = flank_kernel.flanks_around(
         image, chart_px, shading, options.smoothing_share, options.smoothing_px, camera.psf_sigma_px,
-        edge_kernel.normal_count(radius_px), options.crest_tables(camera.psf_sigma_px), camera.lens,
+        flank_kernel.normal_count(radius_px), options.crest_tables(camera.psf_sigma_px), camera.lens,
     )  # fmt: skip
     return smooth_level(*flanks)

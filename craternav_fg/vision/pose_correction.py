@@ -4,6 +4,7 @@ import numpy as np
 
 from craternav_fg import frames
 from craternav_fg.linalg import scaled_inverse, whitening
+from craternav_fg.vision.robust_scale import median
 from factors.arrays import FloatArray
 
 # Iterations of the weights, and the largest change at which they have converged.
@@ -100,7 +101,7 @@ def _corrections(
     for _ in range(_MAX_ITERATIONS):
         off2 = np.mean((residual - H @ delta) ** 2, axis=1)
         # Geman-McClure weights, with a scale of at least the median: wrong matches lose their influence.
-        weight = 1.0 / (1.0 + off2 / max(1.0, 2.0 * float(np.median(off2)))) ** 2
+        weight = 1.0 / (1.0 + off2 / max(1.0, 2.0 * float(median(off2)))) ** 2
         N = information + np.einsum("n,nij->ij", weight, each)
         delta = np.linalg.solve(N, weight @ pull - information @ moved)
         if np.max(np.abs(weight - last)) < _WEIGHT_TOLERANCE:

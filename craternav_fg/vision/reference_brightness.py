@@ -9,7 +9,7 @@ from craternav_fg.body import ground_points
 from craternav_fg.camera import Camera
 from craternav_fg.photometry import MCEWEN, LunarLambert, flat_terrain_brightness
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, noise_level
-from craternav_fg.vision.robust_scale import robust_sigma
+from craternav_fg.vision.robust_scale import median, robust_sigma
 from factors.arrays import FloatArray
 
 # Reference brightness, of 255, below which the terrain is too dark to show edges.
@@ -74,14 +74,14 @@ class ReferenceBrightness:
         blocks = image[: rows * block_px : 2, : columns * block_px : 2]
         side = block_px // 2
         blocks = blocks.reshape(rows, side, columns, side).swapaxes(1, 2).reshape(rows * columns, -1)
-        median = np.median(blocks, axis=1).astype(np.float64)
+        brightness = median(blocks).astype(np.float64)
         x_px, y_px = ((np.arange(n) + 0.5) * block_px - 0.5 for n in (columns, rows))
         points = camera.normalised(np.stack(np.meshgrid(x_px, y_px), axis=-1).reshape(-1, 2))
         ground, hit = ground_points(gTc[:3, :3], gTc[:3, 3], points, radius_m)
         view = gTc[:3, 3] - ground
         view /= np.linalg.norm(view, axis=-1, keepdims=True)
         normals = ground / np.linalg.norm(ground, axis=-1, keepdims=True)
-        self._blocks = points, normals, sun_g, view, hit, median
+        self._blocks = points, normals, sun_g, view, hit, brightness
         self._fit(MCEWEN)
 
     def under(self, law: LunarLambert) -> "ReferenceBrightness":
@@ -91,18 +91,18 @@ class ReferenceBrightness:
         return out
 
     def _fit(self, law: LunarLambert) -> None:
-        points, normals, sun_g, view, hit, median = self._blocks
+        points, normals, sun_g, view, hit, brightness = self._blocks
         self.law = law
         flat, _ = flat_terrain_brightness(normals, sun_g, view, law)
-        keep = hit & (flat > _MIN_FLAT) & (median < SATURATED_BRIGHTNESS)
+        keep = hit & (flat > _MIN_FLAT) & (brightness < SATURATED_BRIGHTNESS)
         self._coefficients = np.zeros(6)
         self.scatter = _UNKNOWN_SCATTER
-        ratio = median[keep] / flat[keep]
+        ratio = brightness[keep] / flat[keep]
         if len(ratio) >= _MIN_BLOCKS_QUADRATIC:
             self._coefficients = _robust_quadratic(_powers(points[keep]), ratio)
             self.scatter = robust_sigma(ratio / np.maximum(self.ratio(points[keep]), _MIN_RATIO) - 1.0)
         elif len(ratio) > 0:
-            self._coefficients[0] = np.median(ratio)
+            self._coefficients[0] = median(ratio)
 
     def ratio(self, points: FloatArray) -> FloatArray:
         """Compute the ratio of the image's brightness to that of the photometric law.
@@ -126,12 +126,17 @@ def _powers(points: FloatArray) -> FloatArray:
 
 
 def _robust_quadratic(A: FloatArray, values: FloatArray) -> FloatArray:
-    weight = np.ones(len(values))
+    # Columns of like size, for the normal equations: a narrow field of view has small squares.
+    size = np.abs(A).max(axis=0)
+    B = A / size
+    weight2 = np.ones(len(values))
     out: FloatArray = np.zeros(6)
     for _ in range(_ITERATIONS):
-        out = np.asarray(np.linalg.lstsq(A * weight[:, None], values * weight, rcond=None)[0], np.float64)
-        residual = values - A @ out
+        weighted = (B * weight2[:, None]).T
+        # Of least norm where all blocks that count lie on a line.
+        out = np.asarray(np.linalg.lstsq(weighted @ B, weighted @ values, rcond=None)[0], np.float64)
+        residual = values - B @ out
         scale = robust_sigma(residual) + 1e-12
         t = residual / (_CUTOFF_SIGMAS * scale)
-        weight = np.where(np.abs(t) < 1.0, 1.0 - t * t, 0.0)
-    return out
+        weight2 = np.where(np.abs(t) < 1.0, 1.0 - t * t, 0.0) ** 2
+    return out / size

@@ -10,8 +10,8 @@ import numpy as np
 from craternav_fg.camera import Camera
 from craternav_fg.photometry import LunarLambert, lunar_lambert_share
 from craternav_fg.vision.crest_tables import CrestTables, flank_means
-from craternav_fg.vision.edge_kernel import flanks_around, normal_count
 from craternav_fg.vision.edges import EdgeOptions
+from craternav_fg.vision.flank_kernel import normal_count, sample_flanks
 from craternav_fg.vision.predicted_rims import PredictedRims
 from craternav_fg.vision.rim_geometry import rim_point
 from craternav_fg.vision.rim_shading import RimShading, normal_view, rim_light, sloping_terms, turned
@@ -51,7 +51,7 @@ def photometric_law(
     tables = options.crest_tables(camera.psf_sigma_px)
     for i in range(len(rims)):
         shading = rims.shading(i)
-        angles, flanks, _, _, _ = flanks_around(
+        angles, flanks, _ = sample_flanks(
             image, rims.charts_px[i], shading, options.smoothing_share, options.smoothing_px,
             camera.psf_sigma_px, normal_count(rims.smallest_radius_px(i)), tables, camera.lens,
         )  # fmt: skip

@@ -13,6 +13,7 @@ from craternav_fg.vision.error_model.systematic import RimErrors
 from craternav_fg.vision.ground_level import common_share, own_share, smooth_share
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.predicted_rims import PredictedRims
+from craternav_fg.vision.robust_scale import median
 from factors.arrays import FloatArray, ImageArray
 
 # Minimum share of a rim's normals that have contrast and lie in the image.
@@ -200,7 +201,7 @@ class RimFitter:
                 self._image, self._camera, fit.chart_px, rims.shading(i), rims.smallest_radius_px(i),
                 self._options.edges,
             )  # fmt: skip
-            moved_px = np.abs(level).sum() * float(np.median(np.linalg.norm(by_rim[i].motion, axis=1)))
+            moved_px = np.abs(level).sum() * float(median(np.linalg.norm(by_rim[i].motion, axis=1)))
             if moved_px > _MIN_MOVED_PX:
                 traced = self.trace(rims, i, float(reach_px[i]), level, thorough=True)
                 if len(traced) >= _MIN_KEPT_SHARE * len(by_rim[i]):
@@ -233,7 +234,7 @@ class RimFitter:
         if len(edges) == 0:
             return 0.0
         level = np.hypot(opt.level_scatter_share * self._scatter, opt.level_rim_share * np.std(edges.level))
-        return float(level * np.median(np.linalg.norm(edges.motion, axis=1)))
+        return float(level * median(np.linalg.norm(edges.motion, axis=1)))
 
 
 def _common_share(crossings: list[tuple[int, EdgePoints]]) -> float:

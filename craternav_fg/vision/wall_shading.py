@@ -14,7 +14,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.photometry import LunarLambert, flat_terrain_brightness
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS
-from craternav_fg.vision.robust_scale import robust_sigma
+from craternav_fg.vision.robust_scale import median, robust_sigma
 from factors.arrays import FloatArray
 
 # Rings on the wall, in radii: below the rim crest, where texture and the outline count, and above the flat
@@ -87,7 +87,7 @@ def sun_azimuth_offset(
     if len(offset) < _MIN_CRATERS:
         return float("nan"), float("inf")
     # Angles are taken from a middle direction: they must not wrap around.
-    middle = float(np.angle(np.median(np.cos(offset)) + 1j * np.median(np.sin(offset))))
+    middle = float(np.angle(median(np.cos(offset)) + 1j * median(np.sin(offset))))
     off = np.angle(np.exp(1j * (offset - middle)))
     best, scatter = 0.0, 0.0
     for _ in range(_ITERATIONS):
