@@ -68,6 +68,8 @@ def noise_inflation(
     factor = np.ones(len(A))
     k = A.shape[2]
     beyond = np.flatnonzero(squared > limit * limit)
+    if not len(beyond):
+        return np.sqrt(squared), factor
     values, vectors = np.linalg.eigh(A[beyond] @ covariance[:k, :k] @ np.swapaxes(A[beyond], 1, 2))
     values = np.maximum(values, 0.0)
     parts = np.einsum("nji,nj->ni", vectors, residual[beyond]) ** 2

@@ -252,8 +252,10 @@ class DistributedEkf:
                 model=options.measurement, noise=options.noise,
             )  # fmt: skip
             if factors is None:
-                rims, keep, factors = self._weights(rims, A, residual, usable, prior)
-                A, residual, usable = A[keep], residual[keep], usable[keep]
+                keep, factors = self._weights(A, residual, usable, prior)
+                if not keep.all():
+                    rims, factors = rims.take(keep), factors[keep]
+                    A, residual, usable = A[keep], residual[keep], usable[keep]
             rows, count = _pose_rows(A, residual, usable, factors, point.gTb, frame, problem, rule)
             if iteration:
                 rows = _relative(rows, delta)
@@ -277,23 +279,16 @@ class DistributedEkf:
         return prior.corrected(delta, covariance)
 
     def _weights(
-        self,
-        rims: RimSet,
-        A: FloatArray,
-        residual: FloatArray,
-        usable: npt.NDArray[np.bool_],
-        prior: FilterState,
-    ) -> tuple[RimSet, npt.NDArray[np.bool_], FloatArray]:
-        """Rims that pass the gate, the mask that selects them, and their noise factors."""
+        self, A: FloatArray, residual: FloatArray, usable: npt.NDArray[np.bool_], prior: FilterState
+    ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
+        """Which rims pass the gate, and the noise factors of all."""
         options = self.options
         limit = np.inf if options.limit_sigmas is None else options.limit_sigmas
         gate = np.inf if options.gate_sigmas is None else options.gate_sigmas
         sigmas, factors = noise_inflation(A, residual, prior.covariance, limit)
         keep = usable & (sigmas <= gate)
         # When all rims disagree with the prediction, the prediction is suspect.
-        if not keep.any():
-            keep = usable.copy()
-        return rims.take(keep), keep, factors[keep]
+        return (keep if keep.any() else usable), factors
 
     def _weighted_arcs(self, arcs: ArcSet, prior: FilterState, problem: Problem) -> ArcSet:
         """Return the arcs that pass the gate, with larger noise beyond the limit; judged by their means."""
