@@ -29,10 +29,25 @@ def noise_level(image: ImageArray) -> float:
     float
         In the image's brightness.
     """
-    rows = np.arange(1, image.shape[0] - 1, max(1, image.shape[0] // _NOISE_ROWS))
-    second = [image[rows + d, :-2] - 2.0 * image[rows + d, 1:-1] + image[rows + d, 2:] for d in (-1, 0, 1)]
-    response = second[0] - 2.0 * second[1] + second[2]
-    return robust_sigma(response) / _OPERATOR_GAIN
+    step = max(1, image.shape[0] // _NOISE_ROWS)
+    return robust_sigma(_second_differences(image, step)) / _OPERATOR_GAIN
+
+
+@njit(cache=True, error_model="numpy")
+def _second_differences(image: ImageArray, step: int) -> ImageArray:
+    """Differentiate every `step`th row twice along both axes."""
+    height, width = image.shape
+    rows = (height - 2 + step - 1) // step
+    out = np.empty((rows, width - 2), dtype=np.float32)
+    two = np.float32(2.0)
+    for k in range(rows):
+        above, row, below = image[k * step], image[1 + k * step], image[2 + k * step]
+        for j in range(width - 2):
+            before = above[j] - two * above[j + 1] + above[j + 2]
+            here = row[j] - two * row[j + 1] + row[j + 2]
+            after = below[j] - two * below[j + 1] + below[j + 2]
+            out[k, j] = before - two * here + after
+    return out
 
 
 @njit(cache=True, error_model="numpy")

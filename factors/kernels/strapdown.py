@@ -21,6 +21,9 @@ ATTITUDE, POSITION, VELOCITY, RATE, GYRO_BIAS, ACCELEROMETER_BIAS = (
 )
 # The states that are propagated.
 WITHOUT_RATE = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17])
+# Of them those that change over a row, biases do not; and the length of a row of their covariance, with
+# which the loops over columns are whole vectors.
+_MOVING, _PITCH = 9, 16
 
 
 @njit(cache=True, error_model="numpy")
@@ -62,38 +65,49 @@ def _gravity_and_rotation(P: FloatArray, V: FloatArray, mu: float, spin: FloatAr
 
 @njit(cache=True, error_model="numpy")
 def _times_transition(
-    M: FloatArray, N: FloatArray, A: FloatArray, C: FloatArray, B: FloatArray, RF: FloatArray, dt: float
+    M: FloatArray, width: int, A: FloatArray, C: FloatArray, B: FloatArray, R: FloatArray, dt: float
 ) -> None:
-    """Write N = F M (15, 15), F the transition over one row.
+    """Replace M by F M, F the transition over one row.
 
-    A (3, 3) turns the attitude error; C = dv/dphi; B = dv/dv - I and dv/dp side by side (3, 6);
-    RF = dv/dba. Position follows from velocity: dp = dt dv + dt/2 (change of v).
+    M (15, width) lies flat, `_PITCH` apart from row to row: a constant, by which the compiler knows that
+    columns do not overlap. A (3, 3) turns the attitude error; C = dv/dphi; B = dv/dv - I and dv/dp side by
+    side (3, 6); dv/dba = -R dt. Position follows from velocity: dp = dt dv + dt/2 (change of v).
     """
     half = 0.5 * dt
-    for i in range(3):
-        i1, i2 = i, i + 3
-        for j in range(15):
-            phi = A[i, 0] * M[0, j] + A[i, 1] * M[1, j] + A[i, 2] * M[2, j] - dt * M[9 + i1, j]
-            # The gyro bias acts on the velocity through the row's mean attitude only: see `propagate`.
-            dv = (
-                C[i, 0] * (M[0, j] - half * M[9, j])
-                + C[i, 1] * (M[1, j] - half * M[10, j])
-                + C[i, 2] * (M[2, j] - half * M[11, j])
-                + B[i, 0] * M[6, j]
-                + B[i, 1] * M[7, j]
-                + B[i, 2] * M[8, j]
-                + B[i, 3] * M[3, j]
-                + B[i, 4] * M[4, j]
-                + B[i, 5] * M[5, j]
-                + RF[i, 0] * M[12, j]
-                + RF[i, 1] * M[13, j]
-                + RF[i, 2] * M[14, j]
-            )
-            N[i1, j] = phi
-            N[i2, j] = M[i2, j] + dt * M[6 + i, j] + half * dv
-            N[6 + i, j] = M[6 + i, j] + dv
-            N[9 + i, j] = M[9 + i, j]
-            N[12 + i, j] = M[12 + i, j]
+    a00, a01, a02 = A[0, 0], A[0, 1], A[0, 2]
+    a10, a11, a12 = A[1, 0], A[1, 1], A[1, 2]
+    a20, a21, a22 = A[2, 0], A[2, 1], A[2, 2]
+    c00, c01, c02 = C[0, 0], C[0, 1], C[0, 2]
+    c10, c11, c12 = C[1, 0], C[1, 1], C[1, 2]
+    c20, c21, c22 = C[2, 0], C[2, 1], C[2, 2]
+    v01, v02, v12 = B[0, 1], B[0, 2], B[1, 2]
+    p00, p01, p02, p11, p12, p22 = B[0, 3], B[0, 4], B[0, 5], B[1, 4], B[1, 5], B[2, 5]
+    r00, r01, r02 = dt * R[0, 0], dt * R[0, 1], dt * R[0, 2]
+    r10, r11, r12 = dt * R[1, 0], dt * R[1, 1], dt * R[1, 2]
+    r20, r21, r22 = dt * R[2, 0], dt * R[2, 1], dt * R[2, 2]
+    for j in range(width):
+        f0, f1, f2 = M[j], M[_PITCH + j], M[2 * _PITCH + j]
+        p0, p1, p2 = M[3 * _PITCH + j], M[4 * _PITCH + j], M[5 * _PITCH + j]
+        v0, v1, v2 = M[6 * _PITCH + j], M[7 * _PITCH + j], M[8 * _PITCH + j]
+        g0, g1, g2 = M[9 * _PITCH + j], M[10 * _PITCH + j], M[11 * _PITCH + j]
+        b0, b1, b2 = M[12 * _PITCH + j], M[13 * _PITCH + j], M[14 * _PITCH + j]
+        M[j] = a00 * f0 + a01 * f1 + a02 * f2 - dt * g0
+        M[_PITCH + j] = a10 * f0 + a11 * f1 + a12 * f2 - dt * g1
+        M[2 * _PITCH + j] = a20 * f0 + a21 * f1 + a22 * f2 - dt * g2
+        # The gyro bias acts on the velocity through the row's mean attitude only: see `propagate`.
+        f0, f1, f2 = f0 - half * g0, f1 - half * g1, f2 - half * g2
+        d0 = c00 * f0 + c01 * f1 + c02 * f2 + v01 * v1 + v02 * v2
+        d1 = c10 * f0 + c11 * f1 + c12 * f2 - v01 * v0 + v12 * v2
+        d2 = c20 * f0 + c21 * f1 + c22 * f2 - v02 * v0 - v12 * v1
+        d0 += p00 * p0 + p01 * p1 + p02 * p2 - r00 * b0 - r01 * b1 - r02 * b2
+        d1 += p01 * p0 + p11 * p1 + p12 * p2 - r10 * b0 - r11 * b1 - r12 * b2
+        d2 += p02 * p0 + p12 * p1 + p22 * p2 - r20 * b0 - r21 * b1 - r22 * b2
+        M[3 * _PITCH + j] = p0 + dt * v0 + half * d0
+        M[4 * _PITCH + j] = p1 + dt * v1 + half * d1
+        M[5 * _PITCH + j] = p2 + dt * v2 + half * d2
+        M[6 * _PITCH + j] = v0 + d0
+        M[7 * _PITCH + j] = v1 + d1
+        M[8 * _PITCH + j] = v2 + d2
 
 
 @njit(cache=True, error_model="numpy")
@@ -111,27 +125,27 @@ def _propagate(
     row_s: float,
     transition: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Do what `propagate` does; a transition (15, 15) that is not empty is multiplied by the rows' own."""
+    """Do what `propagate` does; a transition that is not empty, laid out as M, is multiplied by the rows'."""
     R = gTb[:3, :3].copy()
     P = gTb[:3, 3].copy()
     V = gV.copy()
     rate = np.zeros(3)
     index = WITHOUT_RATE
-    S = np.empty((15, 15))
+    # The covariance, see `_times_transition`, and its first columns as rows.
+    S, columns = np.zeros(15 * _PITCH), np.zeros(15 * _PITCH)
     for i in range(15):
         for j in range(15):
-            S[i, j] = covariance[index[i], index[j]]
-    M = np.empty((15, 15))
+            S[i * _PITCH + j] = covariance[index[i], index[j]]
     E = np.empty((3, 3))
     W = np.empty((3, 3))
     RE = np.empty((3, 3))
     A = np.empty((3, 3))
     B = np.empty((3, 6))
     C = np.empty((3, 3))
-    RF = np.empty((3, 3))
     a = np.empty(3)
     u = np.empty(3)
     x = np.empty(3)
+    begin = np.empty((3, 3))
     Pm = np.empty(3)
     Vm = np.empty(3)
     var_g, var_a = noise[0] ** 2, noise[1] ** 2
@@ -160,13 +174,13 @@ def _propagate(
         w2 = v2 - h * (s0 * v1 - s1 * v0)
 
         # Transition of the error, at the row's start.
+        begin[:] = R
         r2 = P[0] * P[0] + P[1] * P[1] + P[2] * P[2]
         kg = mu / (r2 * np.sqrt(r2))
         spin2 = s0 * s0 + s1 * s1 + s2 * s2
         for i in range(3):
             for j in range(3):
                 B[i, 3 + j] = dt * (3.0 * kg * P[i] * P[j] / r2 - spin[i] * spin[j])
-                RF[i, j] = -dt * R[i, j]
             B[i, i] = 0.0
             B[i, 3 + i] += dt * (spin2 - kg)
             # C = -R [u]x dt
@@ -199,27 +213,30 @@ def _propagate(
                 R[i, j] = W[i, 0] * RE[0, j] + W[i, 1] * RE[1, j] + W[i, 2] * RE[2, j]
 
         if transition.shape[0] > 0:
-            _times_transition(transition, M, A, C, B, RF, dt)
-            transition[:] = M
-        _times_transition(S, M, A, C, B, RF, dt)
+            _times_transition(transition, _PITCH, A, C, B, begin, dt)
+        # F S F' in two products. Columns of biases are done with the first.
+        _times_transition(S, _PITCH, A, C, B, begin, dt)
+        for i in range(_MOVING):
+            for j in range(15):
+                columns[j * _PITCH + i] = S[i * _PITCH + j]
+        _times_transition(columns, _PITCH - 4, A, C, B, begin, dt)
         for i in range(15):
-            for j in range(i):
-                M[i, j], M[j, i] = M[j, i], M[i, j]
-        _times_transition(M, S, A, C, B, RF, dt)
+            for j in range(_MOVING):
+                S[i * _PITCH + j] = columns[i * _PITCH + j]
         for i in range(3):
-            S[i, i] += var_g * dt
-            S[3 + i, 3 + i] += var_a * dt * dt * dt / 3.0
-            S[3 + i, 6 + i] += 0.5 * var_a * dt * dt
-            S[6 + i, 3 + i] += 0.5 * var_a * dt * dt
-            S[6 + i, 6 + i] += var_a * dt
+            S[i * _PITCH + i] += var_g * dt
+            S[(3 + i) * _PITCH + 3 + i] += var_a * dt * dt * dt / 3.0
+            S[(3 + i) * _PITCH + 6 + i] += 0.5 * var_a * dt * dt
+            S[(6 + i) * _PITCH + 3 + i] += 0.5 * var_a * dt * dt
+            S[(6 + i) * _PITCH + 6 + i] += var_a * dt
             if k < rows - 1:
-                S[9 + i, 9 + i] += walk_g * dt
-                S[12 + i, 12 + i] += walk_a * dt
+                S[(9 + i) * _PITCH + 9 + i] += walk_g * dt
+                S[(12 + i) * _PITCH + 12 + i] += walk_a * dt
 
     out = np.empty((18, 18))
     for i in range(15):
         for j in range(15):
-            out[index[i], index[j]] = 0.5 * (S[i, j] + S[j, i])
+            out[index[i], index[j]] = 0.5 * (S[i * _PITCH + j] + S[j * _PITCH + i])
     # Angular velocity: w = gyro - bg - n of the last row, with the mean noise n of the whole row, which is
     # also in what it turned until the end.
     dt = dt_s[rows - 1]
@@ -309,7 +326,7 @@ def propagate(
     docs/equations.md.
     """
     return _propagate(
-        gTb, gV, bias, covariance, dt_s, gyro, accelerometer, mu, spin, noise, row_s, np.empty((0, 0))
+        gTb, gV, bias, covariance, dt_s, gyro, accelerometer, mu, spin, noise, row_s, np.empty(0)
     )
 
 
@@ -355,12 +372,15 @@ def transition(
     Q : ndarray, shape (15, 15)
         Covariance of that noise.
     """
-    F = np.eye(15)
+    flat = np.zeros(15 * _PITCH)
+    for i in range(15):
+        flat[i * _PITCH + i] = 1.0
     added = _propagate(
-        gTb, gV, bias, np.zeros((SIZE, SIZE)), dt_s, gyro, accelerometer, mu, spin, noise, dt_s[-1], F
+        gTb, gV, bias, np.zeros((SIZE, SIZE)), dt_s, gyro, accelerometer, mu, spin, noise, dt_s[-1], flat
     )[3]
-    Q = np.empty((15, 15))
+    F, Q = np.empty((15, 15)), np.empty((15, 15))
     for i in range(15):
         for j in range(15):
+            F[i, j] = flat[i * _PITCH + j]
             Q[i, j] = added[WITHOUT_RATE[i], WITHOUT_RATE[j]]
     return F, Q
