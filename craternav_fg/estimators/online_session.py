@@ -73,6 +73,7 @@ def _from_gtsam() -> FloatArray:
 
 # All but the position, which is turned from b to g.
 FROM_GTSAM = _from_gtsam()
+_RATES = np.arange(strapdown.RATE.start, strapdown.RATE.stop)
 
 
 class OnlineSession:
@@ -344,8 +345,7 @@ class OnlineSession:
         predicted = values.atPose3(X(last)).translation()
         self._add(graph, values, stamp_ns)
         try:
-            self._settle(predicted, last, stamp_ns)
-            state = self._state(last, stamp_ns)
+            state = self._state(last, stamp_ns, self._settle(predicted, last, stamp_ns))
             self._log.append(stamp_ns, state)
             self._newest, self._last, self._stamp_ns = state, last, stamp_ns
             self._frame_states.append(last)
@@ -356,23 +356,29 @@ class OnlineSession:
                 raise
             raise EstimationError(self._ended) from error
 
-    def _settle(self, predicted: FloatArray, last: int, stamp_ns: int) -> None:
-        """Iterate until the newest position, which was predicted, moves no more; then move the gravity."""
-        position = predicted
+    def _settle(self, predicted: FloatArray, last: int, stamp_ns: int) -> gtsam.Pose3 | None:
+        """Iterate until the newest position, which was predicted, moves no more; then move the gravity.
+
+        Returns the newest pose, unless it has moved since it was read.
+        """
+        position, pose = predicted, None
         # A failure here is taken back: the frame is in, linearised less accurately.
         with suppress(EstimationError):
             settled_m = max(SETTLED_POSITION_M, SETTLED_ALTITUDE_SHARE * self._altitude_m(predicted))
             for _ in range(MAX_EXTRA_UPDATES):
-                moved = self._solver.tree.calculateEstimatePose3(X(last)).translation()
+                pose = self._solver.tree.calculateEstimatePose3(X(last))
+                moved = pose.translation()
                 if math.dist(moved, position) < settled_m:
                     break
-                position = moved
+                position, pose = moved, None
                 self._solver.again()
             self._corrected = self._corrected + position - predicted
             shift_m = math.hypot(*self._corrected)
             if shift_m > MIDPOINT_TOLERANCE_M and shift_m > GRAVITY_SHIFT_SIGMAS * self._position_sigma_m():
+                pose = None
                 self._move_gravity(stamp_ns)
                 self._corrected = np.zeros(3)
+        return pose
 
     def _add(self, graph: FactorGraph, values: gtsam.Values, stamp_ns: int, drop: Sequence[int] = ()) -> None:
         """Update the solver; the graph begins with the factors of its intervals."""
@@ -428,9 +434,10 @@ class OnlineSession:
         covariance = self._newest.covariance[strapdown.POSITION, strapdown.POSITION]
         return float(np.sqrt(np.trace(covariance)))
 
-    def _state(self, n: int, stamp_ns: int) -> FilterState:
+    def _state(self, n: int, stamp_ns: int, pose: gtsam.Pose3 | None = None) -> FilterState:
+        """Read the state of an index from the solver; its pose where that is known already."""
         tree = self._solver.tree
-        gTb = np.ascontiguousarray(tree.calculateEstimatePose3(X(n)).matrix())
+        gTb = np.ascontiguousarray((pose or tree.calculateEstimatePose3(X(n))).matrix())
         bias = bias_vector(tree.calculateEstimateConstantBias(B(n)))
         known = [one for one in self._bank.biases if tree.valueExists(one[1])]
         keys = [X(n), V(n), B(n), *(key for _, key in known)]
@@ -439,12 +446,13 @@ class OnlineSession:
         T[strapdown.POSITION, 3:6] = gTb[:3, :3]
         rate = gyro_at(self._descent, stamp_ns) - bias[:3]
         # What this noise turned in its row is far less than the attitude's own error.
-        of_row = np.zeros((strapdown.SIZE, strapdown.SIZE))
-        of_row[strapdown.RATE, strapdown.RATE] = gyro_variance(self._descent, stamp_ns) * np.eye(3)
+        of_row = gyro_variance(self._descent, stamp_ns)
         gV = tree.calculateEstimateVector(V(n))
         sigmas = self._bank.sigmas
         if not len(sigmas):
-            return FilterState(gTb, gV, rate, bias, T @ joint @ T.T + of_row)
+            covariance = T @ joint @ T.T
+            covariance[_RATES, _RATES] += of_row
+            return FilterState(gTb, gV, rate, bias, covariance)
         # A sensor that has not measured yet has the bias of its prior.
         sensor_bias, measured = np.zeros(len(sigmas)), np.zeros(len(sigmas), dtype=np.bool_)
         for part, key in known:
@@ -454,7 +462,7 @@ class OnlineSession:
         whole[: strapdown.SIZE, :15] = T
         whole[strapdown.SIZE + np.flatnonzero(measured), 15:] = np.diag(sigmas[measured])
         covariance = whole @ joint @ whole.T
-        covariance[: strapdown.SIZE, : strapdown.SIZE] += of_row
+        covariance[_RATES, _RATES] += of_row
         rest = strapdown.SIZE + np.flatnonzero(~measured)
         covariance[rest, rest] = sigmas[~measured] ** 2
         return FilterState(gTb, gV, rate, bias, covariance, sensor_bias)
