@@ -63,8 +63,10 @@ _LEAST_NARROW, _MOST_NARROW, _MOST_NARROW_OF_BLIND = 0.2, 3.0, 2.0
 _MAX_SECOND_SCORE = 0.75
 # Share of the step from the outer slope to the inner wall at which an edge is searched without a reference,
 # before the rim's own share is known. How much of such an edge's level may be missing from it, as a share of
-# that of others: the level is known to be large, or the reference would have been crossed.
-_CREST_SHARE, _LOST_SHARE = 0.25, 0.5
+# that of others: the level is known to be large, or the reference would have been crossed. Chosen in the
+# second world (`tests/foreign`, ten descents a kind): on rough ground sizes are 0.19 % too small, with a half
+# they are 0.28 % too small and with 1 they and the centres scatter more.
+_CREST_SHARE, _LOST_SHARE = 0.25, 0.75
 
 
 @njit(cache=True, error_model="numpy")
