@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.dataset import Dataset
 from craternav_fg.measurements import RimSet
+from craternav_fg.vision.guided import GuidedFrontEnd
 from factors.arrays import FloatArray
 from tests.foreign.motion import BODY_CAMERA
 from tests.foreign.worlds import World
@@ -45,6 +47,19 @@ class RimErrors:
             "shape_px": float(np.sqrt(np.mean((self.shape * self.radius_px) ** 2))),
             "chi2": float(np.mean(self.chi2)),
         }
+
+
+def errors_from_truth(world: World, data: Dataset, sigma: FloatArray) -> RimErrors:
+    """Measure the rims of all frames from the true poses, said to be known to sigma (6,), rad and m."""
+    assert data.truth is not None
+    front_end = GuidedFrontEnd(data.camera, data.catalog)
+    parts = []
+    for k, stamp in enumerate(data.stamps_ns.tolist()):
+        frame = front_end.measure(
+            data.image(k), stamp, data.truth.gTb[k], np.diag(sigma**2), data.sun.at(stamp)
+        )
+        parts.append(errors_of_frame(world, k, frame.rims))
+    return RimErrors.joined(parts)
 
 
 def errors_of_frame(world: World, frame: int, rims: RimSet) -> RimErrors:

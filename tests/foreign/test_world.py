@@ -9,10 +9,9 @@ from scipy.ndimage import gaussian_filter1d
 from craternav_fg.dataset import Dataset
 from craternav_fg.estimators.base import Descent
 from craternav_fg.pipeline.reconstruct import reconstruct
-from craternav_fg.vision.guided import GuidedFrontEnd
 from tests.foreign.files import write
 from tests.foreign.profiles import FAMILIES, draw_profile
-from tests.foreign.rim_errors import RimErrors, errors_of_frame
+from tests.foreign.rim_errors import errors_from_truth
 from tests.foreign.worlds import draw_world
 
 
@@ -43,15 +42,7 @@ def test_rims_and_motion_agree_with_the_data_set(tmp_path: Path) -> None:
     world = draw_world(3, "gentle", frames=4)
     data = Dataset.open(write(world, tmp_path / "d", 3))
     assert data.truth is not None
-    front_end = GuidedFrontEnd(data.camera, data.catalog)
-    sigma = np.repeat([1e-3, 5.0], 3)
-    parts = []
-    for k, stamp in enumerate(data.stamps_ns.tolist()):
-        frame = front_end.measure(
-            data.image(k), stamp, data.truth.gTb[k], np.diag(sigma**2), data.sun.at(stamp)
-        )
-        parts.append(errors_of_frame(world, k, frame.rims))
-    found = RimErrors.joined(parts).summary()
+    found = errors_from_truth(world, data, np.repeat([1e-3, 5.0], 3)).summary()
     assert found["rims"] > 20
     assert found["centre_px"] < 0.4
     assert abs(found["size_bias_percent"]) < 3.0
