@@ -190,8 +190,15 @@ def flanks_around(
 
     Parameters
     ----------
-    image, chart_px, shading, smoothing_share, smoothing_px, psf_px, count, tables, lens
-        See `sample_flanks`.
+    image : ndarray of float32, shape (H, W)
+        Brightness, 0 to 255.
+    chart_px : ndarray, shape (5,)
+    shading : RimShading
+    smoothing_share, smoothing_px, psf_px : float
+    count : int
+    tables : CrestTables
+    lens : ndarray, shape (14,)
+        As of `sample_flanks`, all of them.
 
     Returns
     -------
