@@ -1,0 +1,23 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from craternav_fg.vision.robust_scale import median, robust_sigma
+
+ANY = st.floats(-1e6, 1e6, width=32) | st.just(float("nan"))
+
+
+@given(arrays(np.float32, st.tuples(st.integers(0, 4), st.integers(1, 9)), elements=ANY))
+def test_medians_are_those_of_numpy(values):
+    found = median(values)
+    assert found.dtype == np.float32
+    np.testing.assert_array_equal(found, np.array([np.median(row) for row in values], np.float32))
+
+
+def test_the_robust_standard_deviation_is_that_of_normal_values_but_for_outliers():
+    values = 3.0 * np.random.default_rng(1).standard_normal(20_000)
+    values[:200] = 1e6
+    assert robust_sigma(values) == pytest.approx(3.0, rel=0.03)
+    assert robust_sigma(values.reshape(100, -1)) == robust_sigma(values)
