@@ -127,7 +127,7 @@ def _powers(points: FloatArray) -> FloatArray:
 
 def _robust_quadratic(A: FloatArray, values: FloatArray) -> FloatArray:
     # Columns of like size, for the normal equations: a narrow field of view has small squares.
-    size = np.abs(A).max(axis=0)
+    size = np.maximum(np.abs(A).max(axis=0), np.finfo(np.float64).tiny)
     B = A / size
     weight2 = np.ones(len(values))
     out: FloatArray = np.zeros(6)
