@@ -127,7 +127,8 @@ def _powers(points: FloatArray) -> FloatArray:
 
 def _robust_quadratic(A: FloatArray, values: FloatArray) -> FloatArray:
     # Columns of like size, for the normal equations: a narrow field of view has small squares.
-    size = np.maximum(np.abs(A).max(axis=0), np.finfo(np.float64).tiny)
+    size = np.abs(A).max(axis=0)
+    size[size == 0.0] = 1.0
     B = A / size
     weight2 = np.ones(len(values))
     out: FloatArray = np.zeros(6)
