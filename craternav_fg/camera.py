@@ -126,9 +126,11 @@ class Camera:
         """
         x = np.linspace(margin_px, self.width_px - 1 - margin_px, count)
         y = np.linspace(margin_px, self.height_px - 1 - margin_px, count)
-        sides = [np.stack(np.broadcast_arrays(x, end), axis=-1) for end in (y[0], y[-1])]
-        sides += [np.stack(np.broadcast_arrays(end, y), axis=-1) for end in (x[0], x[-1])]
-        return np.concatenate(sides)
+        sides = np.empty((4, count, 2))
+        sides[:2, :, 0], sides[2:, :, 1] = x, y
+        for k, end in enumerate((0, -1)):
+            sides[k, :, 1], sides[2 + k, :, 0] = y[end], x[end]
+        return sides.reshape(-1, 2)
 
     def gTc(self, gTb: FloatArray) -> FloatArray:
         """Compute poses of the camera from poses of the lander.

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 # Below, the series of the right Jacobian to second order is exact to 1e-13; its closed form is not.
 _SMALL_ANGLE_RAD = 1e-4
+# Trace of a rotation by 90 deg: by less, the sine of its angle gives the axis exactly.
+_LEAST_TRACE = 1.0
 
 
 def pose(R: FloatArray, t: FloatArray) -> FloatArray:
@@ -139,6 +141,17 @@ def rotation_log(R: FloatArray) -> FloatArray:
     ndarray, shape (..., 3)
         Axis times angle, rad, 0 to pi; the axis is the same in both frames.
     """
+    R = np.asarray(R)
+    if R.shape == (3, 3):
+        # Estimators need one at a time, which scipy's checks would make ten times as long.
+        (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
+        trace = xx + yy + zz
+        if trace > _LEAST_TRACE:
+            # Axis times twice the sine.
+            x, y, z = zy - yz, xz - zx, yx - xy
+            length = math.sqrt(x * x + y * y + z * z)
+            factor = math.atan2(length, trace - 1.0) / length if length > 0.0 else 0.5
+            return np.array([factor * x, factor * y, factor * z])
     return np.asarray(_rotation().from_matrix(R).as_rotvec())
 
 

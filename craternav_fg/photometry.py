@@ -51,7 +51,7 @@ def lunar_lambert_share(phase_rad: FloatArray, law: LunarLambert = MCEWEN) -> Fl
         0 to 1.
     """
     g = np.rad2deg(phase_rad)
-    mcewen = np.clip(1.0 - 0.019 * g + 2.42e-4 * g**2 - 1.46e-6 * g**3, 0.0, 1.0)
+    mcewen = np.clip(1.0 + g * (-0.019 + g * (2.42e-4 - 1.46e-6 * g)), 0.0, 1.0)
     return np.asarray(np.clip(law.middle_share + law.phase_factor * (mcewen - 0.5), 0.0, 1.0))
 
 

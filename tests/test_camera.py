@@ -151,3 +151,12 @@ def test_the_corners_of_a_distorted_image_see_less_or_more():
         for camera in (replace(PINHOLE, distortion=BARREL), PINHOLE, replace(PINHOLE, distortion=PINCUSHION))
     ]
     assert seen[0] > seen[1] > seen[2]
+
+
+def test_border_points_run_along_all_four_sides():
+    camera = Camera(5, 3, 10.0, 10.0, 2.0, 1.0)
+    upper, lower, left, right = camera.border_px(2, 0.5).reshape(4, 2, 2).tolist()
+    assert upper == [[0.5, 0.5], [3.5, 0.5]]
+    assert lower == [[0.5, 1.5], [3.5, 1.5]]
+    assert left == [[0.5, 0.5], [0.5, 1.5]]
+    assert right == [[3.5, 0.5], [3.5, 1.5]]

@@ -65,6 +65,15 @@ def test_rotation_vectors_and_matrices() -> None:
     assert_allclose(rotation_log(R), w, atol=1e-15)
 
 
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 0.3, 1.56, 1.58, 2.0, 3.1415])
+def test_one_rotation_has_the_rotation_vector_that_it_has_among_many(angle: float) -> None:
+    for axis in np.random.default_rng(5).normal(size=(20, 3)):
+        w = angle * axis / np.linalg.norm(axis)
+        R = gtsam.Rot3.Expmap(w).matrix()
+        assert_allclose(rotation_log(R), w, atol=1e-12, rtol=1e-9)
+        assert_allclose(rotation_log(R), rotation_log(R[None])[0], atol=1e-12, rtol=1e-9)
+
+
 def test_quaternions_are_scalar_first_and_of_any_length() -> None:
     # Half an angle of 90 deg about x: y goes to z.
     q = np.array([np.cos(np.pi / 4.0), np.sin(np.pi / 4.0), 0.0, 0.0])

@@ -19,7 +19,7 @@ from craternav_fg.ellipse import pixel_chart, semi_minor
 from craternav_fg.measurements import ArcSet, RimSet
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.simulation.world import World, make_world
-from craternav_fg.vision.ellipse_distance import signed_distance
+from craternav_fg.vision.ellipse_distance import signed_distances
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, in_plane_slopes
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import GuidedOptions
@@ -208,10 +208,9 @@ def _arcs(
         project_rims(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])[0], camera
     )
     shift, white = np.empty(len(rows)), np.empty(len(rows))
-    normal, derivative = np.empty(2), np.empty(5)
     for i, chart in enumerate(charts_px):
         points = camera.pinhole.pixels(arcs.points[i])
         weight = (arcs.sigmas[i] * camera.focal_px) ** -2.0
-        distance = np.array([signed_distance(x, y, chart, normal, derivative) for x, y in points])
+        distance = signed_distances(points, chart)[0]
         shift[i], white[i] = weight @ distance / weight.sum(), 1.0 / weight.sum()
     return MeasuredArcs(shift, white, semi_minor(charts_px), outline_share)

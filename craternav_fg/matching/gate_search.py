@@ -116,18 +116,19 @@ class ExpandedPose:
     second_distances2: FloatArray
     score: float
 
-    def same_matches(self, other: "ExpandedPose") -> bool:
-        """Return whether another pose explains the same rims by the same craters.
+    def matches(self, rims: IntArray, craters: IntArray) -> bool:
+        """Return whether it explains just some rims by just some craters.
 
         Parameters
         ----------
-        other : ExpandedPose
+        rims, craters : ndarray of int, shape (m,)
+            Rows of the rims, and of the crater of each among those of the search.
 
         Returns
         -------
         bool
         """
-        return np.array_equal(self.rims, other.rims) and np.array_equal(self.craters, other.craters)
+        return np.array_equal(self.rims, rims) and np.array_equal(self.craters, craters)
 
 
 class Tried(NamedTuple):
@@ -237,8 +238,8 @@ class GateSearch:
                 gTb, covariance, self._bTc, self._centres, self._axes, self.charts, self._noise, self._bounds
             )
             for k in np.lexsort((cost[keep], -explained))[: self.options.expanded]:
-                expanded = self._expand(gTb[k], covariance[k])
-                if expanded is not None and not any(expanded.same_matches(one) for one in found):
+                expanded = self._expand(gTb[k], covariance[k], found)
+                if expanded is not None:
                     found.append(expanded)
             found.sort(key=lambda one: -one.score)
             found = [one for one in found if found[0].score - one.score < self.options.ambiguity]
@@ -403,8 +404,13 @@ class GateSearch:
             )
         )  # fmt: skip
 
-    def _expand(self, gTb: FloatArray, covariance: FloatArray) -> ExpandedPose | None:
-        """Assign rims to craters and re-estimate the pose, in turn, until the assignment stays."""
+    def _expand(
+        self, gTb: FloatArray, covariance: FloatArray, known: list[ExpandedPose]
+    ) -> ExpandedPose | None:
+        """Assign rims to craters and re-estimate the pose, in turn, until the assignment stays.
+
+        None where there is no pose, and where the assignment is that of a known one, which has the same.
+        """
         rims, craters = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
         for _ in range(_MAX_EXPANSIONS):
             distances2 = self.distances2(gTb, covariance)
@@ -413,6 +419,8 @@ class GateSearch:
                 return None
             if np.array_equal(found, rims) and np.array_equal(chosen, craters):
                 break
+            if any(one.matches(found, chosen) for one in known):
+                return None
             rims, craters = found, chosen
             gTb, covariance, cost = self.solve_one(gTb, craters, rims)
             if not np.isfinite(cost):
@@ -471,9 +479,10 @@ def _pairs_of_seeds(seeds: list[int], allowed: dict[int, IntArray]) -> Iterator[
         yield np.column_stack([rim, craters, rim, craters])
         return
     for i, j in combinations(seeds, 2):
-        m, k = (grid.ravel() for grid in np.meshgrid(allowed[i], allowed[j], indexing="ij"))
-        some.append(np.column_stack([np.full(len(m), i), m, np.full(len(m), j), k]))
-        count += len(m)
+        pairs = np.empty((len(allowed[i]), len(allowed[j]), 4), dtype=np.int64)
+        pairs[..., 0], pairs[..., 1], pairs[..., 2], pairs[..., 3] = i, allowed[i][:, None], j, allowed[j]
+        some.append(pairs.reshape(-1, 4))
+        count += len(some[-1])
         if count > _CHUNK:
             yield np.concatenate(some)
             some, count = [], 0

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from craternav_fg.vision.edges import EdgePoints
-from craternav_fg.vision.ellipse_distance import signed_distance
+from craternav_fg.vision.ellipse_distance import signed_distances
 from craternav_fg.vision.robust_scale import robust_sigma
 from factors.arrays import FloatArray
 
@@ -68,12 +68,10 @@ def across_sigma(points: FloatArray, chart: FloatArray, covariance: FloatArray) 
     float
         Root mean square over the points of the standard deviation along the rim's normal; 0 without points.
     """
-    normal, derivative = np.empty(2), np.empty(5)
-    variances = np.zeros(len(points))
-    for i, (x, y) in enumerate(points):
-        signed_distance(x, y, chart, normal, derivative)
-        variances[i] = derivative @ covariance @ derivative
-    return float(np.sqrt(variances.mean())) if len(points) else 0.0
+    if len(points) == 0:
+        return 0.0
+    _, _, derivatives = signed_distances(points, chart)
+    return float(np.sqrt(np.mean(np.sum(derivatives @ covariance * derivatives, axis=1))))
 
 
 def judge(
@@ -113,13 +111,10 @@ def judge(
     points, ratio = edges.points_px, edges.sigma_ratio
     if len(points) < options.min_points:
         return None
-    distance, along = np.empty(len(points)), np.empty(len(points))
-    normal, derivative = np.empty(2), np.empty(5)
-    for i, (x, y) in enumerate(points):
-        distance[i] = signed_distance(x, y, chart_px, normal, derivative)
-        along[i] = np.arctan2(normal[1], normal[0])
+    distance, normals, _ = signed_distances(points, chart_px)
     # Angles of the normals, from the middle of the arc.
-    along = np.angle(np.exp(1j * (along - np.angle(np.mean(np.exp(1j * along))))))
+    turns = normals[:, 0] + 1j * normals[:, 1]
+    along = np.angle(turns * np.conj(turns.mean()))
     line = np.stack([np.ones_like(along), along, along**2], axis=1)
     kept, scatter, smooth = np.ones(len(distance), dtype=np.bool_), 0.0, distance
     for _ in range(_REJECTION_ROUNDS):

@@ -7,34 +7,38 @@ from factors.kernels.compiled import njit
 
 
 @njit(cache=True, error_model="numpy")
-def signed_distance(px: float, py: float, y: FloatArray, n: FloatArray, w: FloatArray) -> float:
-    """Compute the distance of a point to the ellipse, positive outside, with its derivative.
+def signed_distances(points: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Compute the distances of points to one ellipse, positive outside, with their derivatives.
 
     Parameters
     ----------
-    px, py : float
-        The point, px.
+    points : ndarray, shape (n, 2)
+        Pixels.
     y : ndarray, shape (5,)
         Chart of the ellipse in pixels.
-    n : ndarray, shape (2,)
-        Written: outward unit normal.
-    w : ndarray, shape (5,)
-        Written: derivative of the distance in y at the ellipse; the part that vanishes with the distance is
-        left out.
 
     Returns
     -------
-    float
-        Distance, px, exact for circles.
+    distances : ndarray, shape (n,)
+        Pixels, exact for circles.
+    normals : ndarray, shape (n, 2)
+        Outward unit normals.
+    derivatives : ndarray, shape (n, 5)
+        In y at the ellipse; the part that vanishes with the distance is left out.
     """
-    return distance_of(px, py, y, np.exp(y[2]), np.exp(y[4]), n, w)
+    count = len(points)
+    distances, normals, derivatives = np.empty(count), np.empty((count, 2)), np.empty((count, 5))
+    ea, es = np.exp(y[2]), np.exp(y[4])
+    for i in range(count):
+        distances[i] = distance_of(points[i, 0], points[i, 1], y, ea, es, normals[i], derivatives[i])
+    return distances, normals, derivatives
 
 
 @njit(cache=True, error_model="numpy")
 def distance_of(
     px: float, py: float, y: FloatArray, ea: float, es: float, n: FloatArray, w: FloatArray
 ) -> float:
-    """Compute the same for many points of one ellipse: its exponentials take longer than all the rest.
+    """Compute the distance of one point: for many of one ellipse, as its exponentials take longest.
 
     Parameters
     ----------
@@ -47,7 +51,7 @@ def distance_of(
     n : ndarray, shape (2,)
         Written: outward unit normal.
     w : ndarray, shape (5,)
-        Written: derivative of the distance in y, as in `signed_distance`.
+        Written: derivative of the distance in y, as in `signed_distances`.
 
     Returns
     -------

@@ -119,8 +119,7 @@ class GuidedFrontEnd:
             Its rim set is empty and its sun None when the image shows neither.
         """
         prior = rotate_position_block(pose_covariance, gTb[:3, :3].T)
-        grey = on_8_bit_scale(image, self.camera)
-        pixels = np.ascontiguousarray(grey, dtype=np.float32)
+        pixels = np.ascontiguousarray(on_8_bit_scale(image, self.camera), dtype=np.float32)
         brightness = ReferenceBrightness(pixels, self.camera, self.catalog.body.radius_m, gTb, sun_g)
         frame = _Frame(pixels, brightness, gTb, prior, sun_g)
         fitter = RimFitter(pixels, brightness.noise, brightness.scatter, self.camera, self.options)
@@ -135,7 +134,7 @@ class GuidedFrontEnd:
         attitude_rad = 0.0 if len(result.rims) >= _MIN_AGREEING_RIMS else np.sqrt(np.max(np.diag(prior)[:3]))
         craters = self.catalog.take(result.rims.craters)
         sun = measure_sun_tilt(
-            grey, self.camera, self.catalog.body, result.gTb, sun_g, self.options.sun, attitude_rad, craters
+            pixels, self.camera, self.catalog.body, result.gTb, sun_g, self.options.sun, attitude_rad, craters
         )
         return FrameMeasurement(stamp_ns, result.rims, sun, self._arcs(frame, fitter, result))
 

@@ -129,15 +129,16 @@ def _robust_quadratic(A: FloatArray, values: FloatArray) -> FloatArray:
     # Columns of like size, for the normal equations: a narrow field of view has small squares.
     size = np.abs(A).max(axis=0)
     size[size == 0.0] = 1.0
-    B = A / size
+    # A row each: numpy's inner loops are as long as there are blocks.
+    rows = np.ascontiguousarray((A / size).T)
     weight2 = np.ones(len(values))
     out: FloatArray = np.zeros(6)
     for _ in range(_ITERATIONS):
-        weighted = (B * weight2[:, None]).T
+        weighted = rows * weight2
         # Of least norm where all blocks that count lie on a line.
-        out = np.asarray(np.linalg.lstsq(weighted @ B, weighted @ values, rcond=None)[0], np.float64)
-        residual = values - B @ out
+        out = np.asarray(np.linalg.lstsq(weighted @ rows.T, weighted @ values, rcond=None)[0], np.float64)
+        residual = values - out @ rows
         scale = robust_sigma(residual) + 1e-12
         t = residual / (_CUTOFF_SIGMAS * scale)
-        weight2 = np.where(np.abs(t) < 1.0, 1.0 - t * t, 0.0) ** 2
+        weight2 = np.maximum(1.0 - t * t, 0.0) ** 2
     return out / size

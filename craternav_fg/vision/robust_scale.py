@@ -1,5 +1,6 @@
 """Median, and the robust standard deviation from the median absolute deviation."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -47,4 +48,9 @@ def robust_sigma(deviations: FloatArray) -> float:
     float
         In the unit of the deviations.
     """
-    return MAD_TO_SIGMA * float(median(np.abs(deviations).ravel()))
+    # Scalars here: for a few numbers, those of `median` as arrays take longer than the sort.
+    ordered = np.sort(np.abs(deviations), axis=None)
+    n, last = len(ordered), float(ordered[-1])
+    middle = 0.5 * (float(ordered[(n - 1) // 2]) + float(ordered[n // 2]))
+    # NaN is sorted to the end.
+    return MAD_TO_SIGMA * (last if math.isnan(last) else middle)

@@ -137,7 +137,7 @@ def measure_sun_tilt(
         return None
     offset, sigma = 0.0, np.inf
     if craters is not None and len(craters) > 0:
-        offset, sigma = sun_azimuth_offset(image.astype(np.float32), camera, craters, gTb, sun_g)
+        offset, sigma = sun_azimuth_offset(image.astype(np.float32, copy=False), camera, craters, gTb, sun_g)
         floor_rad, oblique_rad = options.crater_floor_rad, options.crater_floor_oblique_rad
     if not np.isfinite(sigma):
         offset, sigma = _relief_offset(image, camera, body, gRc, gPc, sun_g, options, attitude_sigma_rad)
