@@ -48,7 +48,7 @@ def is_warm() -> bool:
 
 
 def warm_up(folder: Path) -> Dataset:
-    """Compile the kernels of simulation, front end, estimators and figures.
+    """Compile the kernels of simulation, front end, estimators and figures, in two processes.
 
     Parameters
     ----------
@@ -60,38 +60,60 @@ def warm_up(folder: Path) -> Dataset:
     Dataset
         One of them, with images.
     """
-    # What cannot be solved on so small a problem is compiled all the same.
-    with suppress(CraternavError):
-        data = _data(folder, "measured", MEASURED)
-        (folder / "run").mkdir()
-        execute_run(data, folder / "run", DEFAULT, label="../measured", began_s=time.perf_counter())
-    data = _data(folder, "rendered", RENDERED)
-    with suppress(CraternavError):
-        reconstruct(data, ["smoother", "online"])
-    return data
+    with _compiling(folder):
+        pass
+    return Dataset.open(folder / "rendered")
 
 
 @contextmanager
 def warming_up() -> Iterator[None]:
-    """Compile what a reconstruction needs in another process, unless it is there; wait for it in the end."""
+    """Compile what a reconstruction needs in other processes, unless it is there; wait for their end."""
     if is_warm():
         yield
         return
-    with tempfile.TemporaryDirectory(prefix="craternav-") as folder:
-        process = multiprocessing.get_context("spawn").Process(target=_warm_up, args=(folder,), daemon=True)
-        process.start()
-        try:
-            yield
+    with tempfile.TemporaryDirectory(prefix="craternav-") as folder, _compiling(Path(folder)):
+        yield
+
+
+@contextmanager
+def _compiling(folder: Path) -> Iterator[None]:
+    # Each compiles the kernels that the other has not begun.
+    make = multiprocessing.get_context("spawn").Process
+    processes = [make(target=part, args=(folder,), daemon=True) for part in (_rendered, _measured)]
+    try:
+        for process in processes:
+            process.start()
+        yield
+        for process in processes:
             process.join()
-        finally:
+    finally:
+        for process in processes:
             process.terminate()
+        for process in processes:
             process.join()
 
 
-def _warm_up(folder: str) -> None:
+def _measured(folder: Path) -> None:
+    """Run all estimators on measured rims, with figures."""
+    _ignore_interrupts()
+    data = _data(folder, "measured", MEASURED)
+    (folder / "run").mkdir()
+    # What cannot be solved on so small a problem is compiled all the same.
+    with suppress(CraternavError):
+        execute_run(data, folder / "run", DEFAULT, label="../measured", began_s=time.perf_counter())
+
+
+def _rendered(folder: Path) -> None:
+    """Reconstruct from images."""
+    _ignore_interrupts()
+    data = _data(folder, "rendered", RENDERED)
+    with suppress(CraternavError):
+        reconstruct(data, ["smoother", "online"])
+
+
+def _ignore_interrupts() -> None:
     # Ctrl-C is for the process that started this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    warm_up(Path(folder))
 
 
 def _data(folder: Path, name: str, scenario: str) -> Dataset:
