@@ -14,7 +14,6 @@ independent, and the smoother would take it for motion. The other errors follow 
 derivatives of them, too, are likelier, but double the unknowns and hardly change poses.
 """
 
-import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -172,12 +171,24 @@ class RimErrorStates:
         self._count = 0
         # Variables of the shared error so far, and the frames that involve the last one.
         self._shared = self._frames = 0
+        # What `take_back` returns to: counts, and the former entries of `_rims` that have changed.
+        self._counts = 0, 0, 0
+        self._former: dict[int, tuple[int, FloatArray] | None] = {}
 
-    def copy(self) -> "RimErrorStates":
-        """Return a copy, which stays as it is when further frames enter."""
-        out = copy.copy(self)
-        out._rims = dict(self._rims)
-        return out
+    def mark(self) -> None:
+        """Note the present state: `take_back` returns to it."""
+        self._counts = self._count, self._shared, self._frames
+        self._former.clear()
+
+    def take_back(self) -> None:
+        """Forget the frames that have entered since `mark`."""
+        self._count, self._shared, self._frames = self._counts
+        for crater, track in self._former.items():
+            if track is None:
+                del self._rims[crater]
+            else:
+                self._rims[crater] = track
+        self._former.clear()
 
     def enter(
         self,
@@ -294,6 +305,7 @@ class RimErrorStates:
             if track is None or ends[i]:
                 key = gtsam.symbol(ERROR_LETTER, self._count)
                 self._count += 1
+                self._former.setdefault(crater, self._rims.get(crater))
                 self._rims[crater] = key, rims.chart[i]
                 values.insert(key, _ZERO)
                 if track is None:

@@ -274,13 +274,17 @@ class OnlineSession:
         graph = FactorGraph()
         values = gtsam.Values()
         # The next frame takes the index of one that fails: no variable or observation of it may be left.
-        before = self._errors and self._errors.copy(), self._features and self._features.copy()
+        features = self._features and self._features.copy()
+        if self._errors is not None:
+            self._errors.mark()
         try:
             last = self._extend(graph, values, self.state, self._last, begin_ns, frame)
             self._add_features(graph, values, last, frame.stamp_ns)
             self._update(graph, values, last, frame.stamp_ns)
         except Exception:
-            self._errors, self._features = before
+            if self._errors is not None:
+                self._errors.take_back()
+            self._features = features
             raise
 
     def _extend(
@@ -392,7 +396,8 @@ class OnlineSession:
             if self._solver.trees != trees:
                 self._intervals.clear()
             self._intervals += [
-                replace(one, slot=slot) for one, slot in zip(graph.intervals, slots, strict=False)
+                ImuInterval(one.index, one.midpoint, one.pim, one.params, slot)
+                for one, slot in zip(graph.intervals, slots, strict=False)
             ]
             # Those that have left the solver's lag.
             while self._intervals and not self._solver.tree.valueExists(X(self._intervals[0].index)):
@@ -425,7 +430,7 @@ class OnlineSession:
 
     def _altitude_m(self, gP: FloatArray) -> float:
         """Altitude above the sphere: for one point, numpy takes ten times as long."""
-        return math.hypot(*gP) - self._descent.body.radius_m
+        return math.hypot(*gP.tolist()) - self._descent.body.radius_m
 
     def _position_sigma_m(self) -> float:
         """Return the standard deviation of the position at the last frame."""

@@ -237,7 +237,7 @@ def gyro_at(descent: Descent, stamp_ns: int) -> FloatArray:
     ndarray, shape (3,)
         In b, rad/s.
     """
-    row = int(np.searchsorted(descent.imu.stamps_ns, stamp_ns))
+    row = int(descent.imu.stamps_ns.searchsorted(stamp_ns))
     return np.asarray(descent.imu.gyro_rad_s[min(row, len(descent.imu.gyro_rad_s) - 1)])
 
 
