@@ -24,9 +24,6 @@ from factors.arrays import FloatArray
 from factors.kernels import conic
 from factors.kernels.compiled import njit
 
-# Points at which an ellipse is followed through a lens: harmonics of its distortion are far below this.
-_LENS_POINTS = 32
-
 
 # Arithmetic on the elements of charts: on arrays in this module, on numbers and compiled in kernels.
 def _moments(log_x: Any, shear: Any, log_y: Any) -> tuple[Any, Any, Any]:
@@ -110,23 +107,6 @@ def pixel_chart(chart: FloatArray, camera: Camera) -> FloatArray:
     scale = np.array([camera.fx_px, camera.fy_px, 1.0, camera.fy_px / camera.fx_px, 1.0])
     offset = np.array([camera.cx_px, camera.cy_px, np.log(camera.fx_px), 0.0, np.log(camera.fy_px)])
     return np.asarray(chart * scale + offset)
-
-
-def seen_through_lens(charts_px: FloatArray, camera: Camera) -> FloatArray:
-    """Compute the charts of the ellipses that best follow ellipses seen in a distorted image.
-
-    Parameters
-    ----------
-    charts_px : ndarray, shape (n, 5)
-        Charts in the pixels of the image as it is, not of `camera.pinhole`.
-    camera : Camera
-
-    Returns
-    -------
-    ndarray, shape (n, 5)
-        Charts in normalised image coordinates: the first harmonics of the undistorted outlines.
-    """
-    return chart_of_outline(camera.normalised(points_on(charts_px, _LENS_POINTS)))
 
 
 def chart_of_outline(points: FloatArray) -> FloatArray:

@@ -11,7 +11,6 @@ from craternav_fg import ellipse
 from craternav_fg.camera import Camera
 
 CAMERA = Camera(1024, 768, 1200.0, 900.0, 511.5, 380.0)
-BENT = Camera(1024, 768, 1200.0, 900.0, 511.5, 380.0, np.eye(4), (-0.2, 0.05, 1e-3, -1e-3, 0.01))
 
 
 def rotation(angle: float) -> np.ndarray:
@@ -146,20 +145,6 @@ def test_pixels_and_normalised_coordinates(given_axes: np.ndarray) -> None:
     step = 1e-3 * np.eye(5)
     moved = ellipse.normalised_chart(chart_px + step, CAMERA)[0] - chart
     assert_allclose(moved, 1e-3 * np.diag(scale), atol=1e-12)
-
-
-def test_an_ellipse_seen_through_a_lens_is_found_again() -> None:
-    truth = ellipse.normalised_chart(ellipse.chart_of_axes([820.0, 600.0, 25.0, 14.0, 0.5]), CAMERA)[0]
-    # What the image shows is nearly an ellipse: fitted here, not by its harmonics.
-    outline = BENT.pixels(ellipse.points_on(truth, 200))
-    centre, diameters, degrees = cv2.fitEllipseAMS(outline.astype(np.float32))
-    seen = ellipse.chart_of_axes([[*centre, 0.5 * diameters[0], 0.5 * diameters[1], np.radians(degrees)]])
-    assert np.abs(centre - CAMERA.pixels(truth[:2])).max() > 5.0
-    found_px = ellipse.pixel_chart(ellipse.seen_through_lens(seen, BENT), CAMERA)[0]
-    truth_px = ellipse.pixel_chart(truth, CAMERA)
-    assert_allclose(found_px[:2], truth_px[:2], atol=0.05)
-    assert_allclose(found_px[2:], truth_px[2:], atol=3e-3)
-    assert ellipse.seen_through_lens(np.empty((0, 5)), BENT).shape == (0, 5)
 
 
 def test_conics_vanish_on_the_ellipse() -> None:

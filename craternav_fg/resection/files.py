@@ -21,7 +21,6 @@ from craternav_fg.ellipse import (
     chart_of_axes,
     half_sides,
     normalised_chart,
-    seen_through_lens,
 )
 from craternav_fg.measurements import KnownAttitude, SunTilt
 from craternav_fg.resection.edge_fit import fit_covariance
@@ -33,6 +32,7 @@ from craternav_fg.resection.problem import (
     ResectionResult,
     Status,
 )
+from craternav_fg.undistortion import seen_through_lens
 from factors.arrays import FloatArray
 
 # Standard deviations of angles that are accepted.

@@ -7,7 +7,8 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from craternav_fg.camera import Camera
-from craternav_fg.ellipse import chart_of_axes, matrix_of_chart, seen_through_lens
+from craternav_fg.ellipse import chart_of_axes, matrix_of_chart
+from craternav_fg.undistortion import seen_through_lens
 from factors.arrays import FloatArray
 
 # Points along each side of the image, by which its undistorted bounds are found.
