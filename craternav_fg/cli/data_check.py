@@ -53,14 +53,17 @@ def _summary(data: Dataset) -> dict[str, Any]:
         "craters": len(catalog),
         "diameter_km": [float(diameters_km.min()), float(diameters_km.max())],
         "rim_heights": catalog.has_heights,
+        "map_errors": catalog.errors is not None,
         "initial_state": data.initial is not None,
         "truth": data.truth is not None,
         "apriori_states": data.apriori is not None,
         "warnings": [
             *input_warnings.unusual_body(catalog),
+            *input_warnings.heights_in_km(catalog),
             *input_warnings.unknown_sensors(data.ignored),
             *input_warnings.empty_logs({one.name: len(one) for one in data.sensors}),
             *input_warnings.colour_images(data.in_colour),
+            *input_warnings.repeated_craters(data.repeated_craters),
             *input_warnings.repeated_images(_repeated(data)),
             *input_warnings.departing_sun(data.sun_departure_rad),
             *unknown_height_warnings(catalog.unknown_height_sigma_m),
@@ -90,7 +93,8 @@ def _show(values: dict[str, Any]) -> None:
         "motion": f"model {values['motion_model']}" if values["motion_model"] else "measured by the IMU",
         "sensors": ", ".join([*values["sensors"], *["point features"] * values["point_features"]]) or "none",
         "catalogue": f"{values['craters']:,} craters, diameters {small_km} to {large_km} km, "
-        f"{'with' if values['rim_heights'] else 'without'} heights",
+        f"{'with' if values['rim_heights'] else 'without'} heights, "
+        f"{'with its errors' if values['map_errors'] else 'no errors stated: it counts as exact'}",
         "initial": "given" if values["initial_state"] else "none: found from the first images",
         "truth": "given" if values["truth"] else "none",
         "a-priori": "given" if values["apriori_states"] else "none",

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from craternav_fg.body import Body
+from craternav_fg.catalogs.duplicates import repeated_craters
 from craternav_fg.catalogs.files import read_catalog
 from craternav_fg.catalogs.ground import ground_heights
 from craternav_fg.catalogs.model import Catalog
@@ -53,12 +54,16 @@ class Dataset(Recording):
         Folders below `mav0` that belong to no known sensor.
     in_colour : int
         Number of colour images; their luma is used.
+    repeated_craters : tuple of str
+        Names of craters that the catalogue has already under another one. They are left out where rims are
+        to be measured in images.
     """
 
     path: Path
     image_paths: tuple[Path, ...]
     ignored: tuple[str, ...] = ()
     in_colour: int = 0
+    repeated_craters: tuple[str, ...] = ()
 
     @classmethod
     def open(cls, path: Path | str) -> "Dataset":
@@ -104,12 +109,16 @@ class Dataset(Recording):
         if has_imu:
             imu = _read_imu(folder / layout.IMU_DATA, stamps, read_imu_rate_hz(folder / layout.IMU_SENSOR))
         truth = read_states(folder / layout.TRUTH, stamps, body, one_motion=True)
-        measurements, in_colour = None, 0
+        measurements, in_colour, names_twice = None, 0, ()
         image_paths = tuple(folder / layout.IMAGES / name for name in names)
         if are_measured:
             prior_gP = None if initial is None else initial.gTb[:3, 3]
             measurements = read_measurements(folder, stamps, catalog, camera, sun, prior_gP)
         else:
+            repeated = repeated_craters(catalog)
+            if len(repeated):
+                names_twice = tuple(catalog.identifiers[row] for row in repeated.tolist())
+                catalog = catalog.take(np.delete(np.arange(len(catalog)), repeated))
             for image_path in image_paths:
                 grey = check_image(image_path, camera.width_px, camera.height_px, camera.bit_depth)
                 in_colour += not grey
@@ -130,6 +139,7 @@ class Dataset(Recording):
             sensors=logs,
             ignored=ignored,
             in_colour=in_colour,
+            repeated_craters=names_twice,
             features=read_features(folder, camera, stamps),
             motion=motion,
             apriori=_read_apriori(folder, stamps, body),

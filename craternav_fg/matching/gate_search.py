@@ -39,6 +39,8 @@ _REACH_FACTOR = 3.0
 _BORDER_FACTOR = 1.05
 # Minimum separation of two rims, rad, that counts for the accuracy of the roll that they give.
 _MIN_SEPARATION_RAD = 0.05
+# Two rims, or two craters, that are nearer to each other, rad, are one: no attitude follows from them.
+_LEAST_SEPARATION_RAD = 1e-6
 # Rounds in which an expanded pose is re-estimated.
 _MAX_EXPANSIONS = 4
 # Rounds of line of sight and range: each depends on the other when the prediction is poor.
@@ -341,9 +343,10 @@ class GateSearch:
         off = self._log_solid[i] - self._log_solid[j]
         off = off - (self._log_solid_of_craters[m] - self._log_solid_of_craters[k])
         off_limit = _AREA_PER_RANGE * (_LOG_AREA_ERROR + self._position_m * parallax)
-        return np.asarray(
-            (m != k) & (np.abs(between - seen) < limit + 2.0 * _CENTRE_ERROR_RAD) & (np.abs(off) < off_limit)
-        )
+        # Two craters in one direction, such as one that the catalogue has twice, give no attitude.
+        apart = (m != k) & (between > _LEAST_SEPARATION_RAD) & (seen > _LEAST_SEPARATION_RAD)
+        near = np.abs(between - seen) < limit + 2.0 * _CENTRE_ERROR_RAD
+        return np.asarray(apart & near & (np.abs(off) < off_limit))
 
     def _solve(
         self, starts: FloatArray, craters: IntArray, rims: IntArray

@@ -17,6 +17,9 @@ _MAX_DEPARTURE_RAD = math.radians(2.0)
 _MAX_LISTED = 5
 # Share by which gravity and spin of a known body may differ from what is known: sources differ by less.
 _SAME_MOTION = 0.005
+# Heights of rims on a body of that radius scatter by hundreds of metres: fewer craters than these may lie on
+# one level, and heights below the limit are in another unit.
+_LARGE_BODY_M, _MIN_HEIGHTS, _LOW_HEIGHT_M = 1e5, 8, 12.0
 # No lander carries a sensor farther than this from its body origin.
 _MAX_LEVER_ARM_M = 50.0
 # Lever arms of cameras on landers are of this order: one that was left out shows in smaller errors than that.
@@ -78,6 +81,26 @@ def colour_images(count: int) -> list[str]:
     return [f"{count} images are in colour: their luma is used"]
 
 
+def repeated_craters(names: Sequence[str]) -> list[str]:
+    """Warn of craters that the catalogue has twice.
+
+    Parameters
+    ----------
+    names : sequence of str
+        See `Dataset.repeated_craters`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not names:
+        return []
+    return [
+        f"the catalogue has craters twice: {_listed(names)} are left out, as earlier rows have nearly the "
+        "same places and sizes (`craternav catalog merge` merges tables)"
+    ]
+
+
 def departing_sun(departure_rad: float) -> list[str]:
     """Warn of a sun that does not keep its place among the stars, as one direction on a spinning body.
 
@@ -129,6 +152,54 @@ def unusual_body(catalog: Catalog) -> list[str]:
         stated = ", ".join(f"{one:.6g}" for one in body.spin_rad_s)
         found.append(f"spin_rad_s of [body] is [{stated}], but that of {name} [0, 0, {spin:.6g}]")
     return found
+
+
+def heights_in_km(catalog: Catalog) -> list[str]:
+    """Warn of rim heights that are far below those of any large body.
+
+    Nothing else shows it where rims are measured in images: those that fit the wrong heights are used.
+
+    Parameters
+    ----------
+    catalog : Catalog
+
+    Returns
+    -------
+    list of str
+    """
+    if not catalog.has_heights or len(catalog) < _MIN_HEIGHTS or catalog.body.radius_m < _LARGE_BODY_M:
+        return []
+    highest_m = float(np.abs(catalog.height_m).max())
+    if not 0.0 < highest_m < _LOW_HEIGHT_M:
+        return []
+    return [
+        f"RIM_HEIGHT_M of the catalogue is at most {highest_m:.2g} m above or below the sphere: expected "
+        "metres, is it in kilometres?"
+    ]
+
+
+def unstated_map_errors(catalog: Catalog, contradicted: bool, tenth_px_m: float) -> list[str]:
+    """Tell that the catalogue counts as exact, where images or other sensors contradict its craters.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    contradicted : bool
+        Whether rims are missing, left out or contradict other sensors.
+    tenth_px_m : float
+        A tenth of a pixel on the ground: a rim is measured to about as much.
+
+    Returns
+    -------
+    list of str
+    """
+    if not contradicted or catalog.errors is not None:
+        return []
+    return [
+        "the catalogue states no errors and counts as exact, which alone can cause the warnings of rims, of "
+        f"the IMU and of frames without rims: unless its places and heights are known to {tenth_px_m:.1g} m "
+        "(a tenth of a pixel), state PLACE_SIGMA_M, SIZE_SIGMA_SHARE and RIM_HEIGHT_SIGMA_M"
+    ]
 
 
 def repeated_images(repeated: Mapping[str, str]) -> list[str]:

@@ -183,6 +183,7 @@ def reconstruct(
         predicted=measured.guides,
         ignored=dataset.ignored,
         in_colour=dataset.in_colour,
+        repeated_craters=dataset.repeated_craters,
         sun_departure_rad=dataset.sun_departure_rad,
         repeated={_name(dataset, k): _name(dataset, first) for k, first in repeated.items()},
         disbelieved={k: _name(dataset, k) for k in measured.disbelieved},

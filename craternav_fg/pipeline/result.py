@@ -70,6 +70,8 @@ class Reconstruction:
         Folders below `mav0` of the data set that no sensor known here reads.
     in_colour : int
         Images of the data set that are in colour.
+    repeated_craters : tuple of str
+        See `Dataset.repeated_craters`.
     sun_departure_rad : float
         See `Dataset.sun_departure_rad`.
     repeated : mapping of str to str
@@ -99,6 +101,7 @@ class Reconstruction:
     predicted: FloatArray | None
     ignored: tuple[str, ...] = ()
     in_colour: int = 0
+    repeated_craters: tuple[str, ...] = ()
     sun_departure_rad: float = 0.0
     repeated: Mapping[str, str] = field(default_factory=dict)
     disbelieved: Mapping[int, str] = field(default_factory=dict)
@@ -191,6 +194,25 @@ class Reconstruction:
         """Name what explains rims that contradict each other; empty for those measured in images."""
         return likely_rim_mistake(self.problems[0]) if self.predicted is None else ""
 
+    def _contradicts_the_map(self) -> bool:
+        """Whether rims are missing, left out, or contradict other sensors."""
+        missed = self.expected_rims is not None and any(
+            expected and not len(frame.rims)
+            for expected, frame in zip(self.expected_rims, self.frames, strict=True)
+        )
+        outliers = warnings.inconsistent_trajectories(self.outlier_shares)
+        too_large = self.innovations is not None and any(
+            warnings.too_large(part.mean, int(part.dimension.sum()), images=self.predicted is not None)
+            for part in map(self.innovations.of, {"imu", "rims"} & set(self.innovations.sensor))
+        )
+        return bool(missed or self.disbelieved or outliers or too_large)
+
+    def _tenth_px_m(self) -> float:
+        """Return a tenth of a pixel on the ground below the middle of the first trajectory, m."""
+        descent, gP = self.problems[0], next(iter(self.trajectories.values())).gP
+        altitude_m = float(np.median(descent.body.altitude_m(gP)))
+        return 0.1 * max(altitude_m, 0.0) / descent.camera.focal_px
+
     @cached_property
     def outlier_shares(self) -> Mapping[str, float | None]:
         """Share of outliers among all rims, by estimator; None without rims."""
@@ -223,9 +245,11 @@ class Reconstruction:
             ),
             *input_warnings.missing_lever_arm(descent.camera, self._least_position_sigma_m()),
             *input_warnings.unusual_body(descent.catalog),
+            *input_warnings.heights_in_km(descent.catalog),
             *input_warnings.unknown_sensors(self.ignored),
             *input_warnings.empty_logs({one.name: len(one) for one in descent.sensors}),
             *input_warnings.colour_images(self.in_colour),
+            *input_warnings.repeated_craters(self.repeated_craters),
             *input_warnings.departing_sun(self.sun_departure_rad),
             *input_warnings.repeated_images(self.repeated),
             *input_warnings.disbelieved_frames(self.disbelieved),
@@ -238,6 +262,9 @@ class Reconstruction:
                 self.expected_rims,
                 self.mistake,
                 [sensor.name for sensor in descent.sensors],
+            ),
+            *input_warnings.unstated_map_errors(
+                descent.catalog, self._contradicts_the_map(), self._tenth_px_m()
             ),
         )
 

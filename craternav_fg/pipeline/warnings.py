@@ -454,10 +454,15 @@ def frames_without_rims(
     empty: BoolArray = np.array(rims) == 0
     missed: BoolArray = empty & (np.array(expected) > 0) if expected is not None else np.zeros_like(empty)
     if expected is not None and empty.all():
-        although = f", although {int(missed.sum())} should show some" if missed.any() else ""
+        if not missed.any():
+            return [
+                "no rim was found in any frame: where the initial state and the IMU put the lander, no "
+                "crater of the catalogue is in view, or the sun is below the horizon; "
+                f"{mistake or _NO_RIMS_CHECKS}"
+            ]
         return [
-            f"no rim was found in any frame{although}: no pose within the prior explains the images; "
-            f"{mistake or _NO_RIMS_CHECKS}"
+            f"no rim was found in any frame, although {int(missed.sum())} should show some: no pose within "
+            f"the prior explains the images; {mistake or _NO_RIMS_CHECKS}"
         ]
     out = []
     if expected is not None and missed.sum() > _MAX_MISSED_SHARE * np.count_nonzero(expected):
@@ -469,7 +474,8 @@ def frames_without_rims(
     elif missed.any():
         out.append(
             f"no rim was found in {_count(missed)} that should show catalogue craters; {alone}; if this "
-            "happens often, check the body and the IMU's units and axes"
+            "happens often, check the catalogue, the camera's intrinsics, the body and the IMU's units "
+            "and axes"
         )
     others = empty & ~missed
     if others.any():

@@ -16,7 +16,9 @@ def test_a_data_set_with_images_is_summarised(folder):  # noqa: F811
     assert lines["frames"] == "3 over 0.4 s"
     assert lines["images"] == "3 of 64 x 48 px"
     assert lines["IMU"] == "100 Hz"
-    assert lines["catalogue"] == "2 craters, diameters 1.8 to 2.47 km, with heights"
+    assert lines["catalogue"] == (
+        "2 craters, diameters 1.8 to 2.47 km, with heights, no errors stated: it counts as exact"
+    )
     assert (lines["initial"], lines["truth"], lines["a-priori"]) == ("given", "given", "none")
     assert "warning: not used: mav0/radar0: unknown sensor" in done.err
 

@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset, SunVectors, layout, write_dataset
 from craternav_fg.errors import InputError
 from craternav_fg.measurements import RimQuality
@@ -103,6 +104,18 @@ def test_images_in_colour_are_read_as_their_luma(tmp_path):
     exact(data.image(0), images[0])
     np.testing.assert_allclose(data.image(1), colour @ np.array([0.299, 0.587, 0.114]), atol=0.55)
     exact(data.image(2), images[2])
+
+
+def test_a_crater_that_the_catalogue_has_twice_is_read_once(tmp_path):
+    rng = np.random.default_rng(11)
+    given = recording(rng)
+    twice = replace(given.catalog.take(np.array([1])), identifiers=("again",))
+    given = replace(given, catalog=Catalog.joined([given.catalog, twice]))
+    images = list(np.zeros((3, 48, 64), np.uint8))
+    data = Dataset.open(write_dataset(tmp_path / "data", given, images))
+    assert data.repeated_craters == ("again",)
+    assert "again" not in data.catalog.identifiers
+    assert len(data.catalog) == len(given.catalog) - 1
 
 
 def test_grey_levels_beyond_the_cameras_bits_are_refused(tmp_path):

@@ -2,6 +2,7 @@
 
 import time
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -105,6 +106,27 @@ def test_priors_wrong_by_three_sigma(sigma_deg, sigma_m, scenes):
     assert real > 8 * scenes
     assert right / real >= 0.98
     assert wrong / (right + wrong) <= 0.002
+
+
+def test_craters_that_the_catalogue_has_twice_end_no_search():
+    """No attitude follows from two craters in one direction, for which two large neighbours may be taken."""
+    rng = np.random.default_rng(12)
+    catalog = field(rng)
+    large = catalog.take(np.array([0, 1]))
+    aside = np.array([0.0, 800.0]) / MOON.radius_m
+    size_m = np.full(2, 4000.0)
+    large = replace(
+        large, identifiers=("D0", "D1"), latitude_rad=aside, longitude_rad=np.zeros(2), semi_major_m=size_m,
+        semi_minor_m=size_m, height_m=np.zeros(2),
+    )  # fmt: skip
+    catalog = Catalog.joined([catalog, large])
+    twice = Catalog.joined([catalog, replace(large.take(np.array([0])), identifiers=("D0b",))])
+    gTb, charts, covariances, truth = scene(rng, catalog, 0.0, 0.0)
+    assert {len(catalog) - 2, len(catalog) - 1} <= set(truth.tolist())
+    prior, covariance = wrong_prior(rng, gTb, np.radians(1.0), 400.0)
+    found = match_rims(charts, covariances, CAMERA, twice, prior, covariance)
+    others = truth < len(catalog) - 2
+    assert np.count_nonzero(found.craters[others] == truth[others]) >= 0.9 * np.count_nonzero(others)
 
 
 @pytest.mark.parametrize("up_m", [-11.5e3, pytest.param(-7e3, marks=pytest.mark.slow), 11.5e3])

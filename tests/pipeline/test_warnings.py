@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from craternav_fg import frames
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.evaluation.innovations import Innovations
 from craternav_fg.evaluation.sensor_consistency import ResidualSummary
@@ -81,6 +82,37 @@ def test_a_known_body_with_another_sphere_gravity_or_spin_is_told() -> None:
     assert told(name="Planet Nine", radius_m=1.0, spin_rad_s=(0.0, 0.0, 0.0)) == []
 
 
+def craters(heights_m: list[float], errors: MapErrors | None = None) -> Catalog:
+    n = len(heights_m)
+    place, size = np.linspace(0.0, 0.01, n), np.full(n, 500.0)
+    names = tuple(f"C{k}" for k in range(n))
+    return Catalog(names, place, place, size, size, np.zeros(n), np.array(heights_m), MOON, errors=errors)
+
+
+def test_craters_that_the_catalogue_has_twice_are_told() -> None:
+    assert input_warnings.repeated_craters(()) == []
+    (text,) = input_warnings.repeated_craters(("C7b", "C9b"))
+    assert "C7b, C9b are left out" in text
+
+
+def test_heights_in_kilometres_are_told() -> None:
+    (text,) = input_warnings.heights_in_km(craters([-2.1, 0.3, 1.9, 3.2, -0.6, 0.7, 1.1, 2.2]))
+    assert "at most 3.2 m" in text
+    assert input_warnings.heights_in_km(craters([-2100.0, 0.3, 1.9, 3.2, -0.6, 0.7, 1.1, 2.2])) == []
+    # A catalogue on the sphere, and few craters of one place.
+    assert input_warnings.heights_in_km(craters(8 * [0.0])) == []
+    assert input_warnings.heights_in_km(craters([-2.1, 0.3])) == []
+
+
+def test_a_map_that_counts_as_exact_is_told_where_something_contradicts_it() -> None:
+    exact, stated = craters([1.0, 2.0]), craters([1.0, 2.0], MapErrors.zeros(2))
+    (text,) = input_warnings.unstated_map_errors(exact, True, 0.63)
+    assert "known to 0.6 m" in text
+    assert "PLACE_SIGMA_M" in text
+    assert input_warnings.unstated_map_errors(exact, False, 0.63) == []
+    assert input_warnings.unstated_map_errors(stated, True, 0.63) == []
+
+
 def test_camera_and_stamps_are_among_the_things_to_check() -> None:
     """A focal length that is 1 % off, or half a second between the clocks, contradicts the IMU first."""
     texts = [
@@ -120,6 +152,7 @@ def test_replaced_initial_states_and_new_segments_are_told() -> None:
             ["no rim was found in 2 of 4 frames (the first: 2)", "in view in 1 of 4 frames (the first: 0)"],
         ),
         ([0, 0], [0, 3], ["in any frame, although 1 should show some"]),
+        ([0, 0], [0, 0], ["no crater of the catalogue is in view"]),
         # Three rims in one of ten frames may be matched wrongly: nothing confirms them.
         ([0, 3] + 8 * [0], 10 * [4], ["no trajectory can be trusted, whatever its covariance: 1 of 10"]),
         # No front end ran: what should be seen is not known.
