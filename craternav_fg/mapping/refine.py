@@ -211,7 +211,13 @@ def measure_rims(catalog: Catalog, dem: Dem, options: RefineOptions) -> list[Fou
         The rim, or why there is none.
     """
     enu = frames.east_north_up(catalog.latitude_rad, catalog.longitude_rad)
-    return [_refine(catalog, dem, options, enu, row) for row in range(len(catalog))]
+    # Most craters of a global catalogue are elsewhere.
+    reach_rad = SEARCHES[0][1] * catalog.semi_major_m / catalog.body.radius_m
+    beyond = dem.inside_rad(enu[:, :, 2]) < -reach_rad
+    return [
+        Outcome.OUTSIDE if out else _refine(catalog, dem, options, enu, row)
+        for row, out in enumerate(beyond.tolist())
+    ]
 
 
 def collect(catalog: Catalog, dem: Dem, found: list[Found]) -> RefinedRims:

@@ -92,7 +92,7 @@ def _draw_series(
     figure.legend(*panels[0].get_legend_handles_labels(), ncols=6, loc="outside upper center", fontsize=9)
     count.step(t, rims, where="mid", color="k", lw=1.2)
     count.set_ylabel("rims")
-    count.set_ylim(bottom=0)
+    count.set_ylim(0, 1.1 * max(1, *rims))
     count.set_xlabel("time, s")
     for axes in (*panels, count):
         finish(axes)

@@ -67,7 +67,7 @@ def test_craters_and_pose(case, identify) -> None:
     folder, catalog, scene = case
     code, output, errors = identify(folder / "rims.csv", "--json")
     assert code == 0
-    assert "file is missing; built anew" in errors
+    assert "is built, once for this catalogue" in errors
     found = json.loads(output)
     assert found["status"] == "identified"
     truth = [catalog.identifiers[row] if row >= 0 else None for row in scene.craters]

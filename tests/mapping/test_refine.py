@@ -325,14 +325,15 @@ def test_ground_without_a_crater_gives_none(worlds):
 def test_what_the_model_cannot_show_is_said(worlds):
     one = worlds[0]
     odd = replace(
-        one.circles.take(np.arange(3)),
-        latitude_rad=np.radians([0.0, 1.49, 40.0]),
-        longitude_rad=np.zeros(3),
-        semi_major_m=np.array([200.0, 3000.0, 3000.0]),
-        semi_minor_m=np.array([200.0, 3000.0, 3000.0]),
+        one.circles.take(np.arange(4)),
+        latitude_rad=np.radians([0.0, 1.49, 40.0, 40.0]),
+        longitude_rad=np.zeros(4),
+        semi_major_m=np.array([200.0, 3000.0, 3000.0, 200.0]),
+        semi_minor_m=np.array([200.0, 3000.0, 3000.0, 200.0]),
     )
     rims = refine_on_dem(odd, read_dem(one.path))
-    assert rims.outcomes == (Outcome.TOO_SMALL, Outcome.OUTSIDE, Outcome.OUTSIDE)
+    # A small crater elsewhere is first of all elsewhere.
+    assert rims.outcomes == (Outcome.TOO_SMALL, Outcome.OUTSIDE, Outcome.OUTSIDE, Outcome.OUTSIDE)
 
 
 def test_the_command_writes_a_catalogue_with_covariances(worlds, tmp_path):

@@ -63,7 +63,7 @@ def test_density_is_the_catalogues_over_its_sphere(index) -> None:
 def test_the_index_comes_back_from_its_file(index, tmp_path) -> None:
     path = tmp_path / "index.npz"
     first, said = load_or_build(path, index.catalog)
-    assert said == f"{path}: file is missing; built anew"
+    assert said == f"{path} is built, once for this catalogue"
     again, said = load_or_build(path, index.catalog)
     assert said == ""
     assert_same(again, first)

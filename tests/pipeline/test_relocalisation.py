@@ -99,7 +99,7 @@ def test_the_index_of_a_large_catalogue_is_kept_in_the_cache(folders, tmp_path, 
     assert index_path(tmp_path / "other" / layout.LARGE_CRATERS) != kept
     assert np.linalg.norm(first.gTb[:3, 3] - lost.truth.gP[0]) < 500.0
     assert kept.is_file()
-    assert relocaliser.index_note == f"{kept}: file is missing; built anew"
+    assert relocaliser.index_note == f"{kept} is built, once for this catalogue"
     monkeypatch.setattr(TripleIndex, "build", lambda catalog: pytest.fail("built again"))
     np.testing.assert_array_equal(Relocaliser(data).locate(0).gTb, first.gTb)
 

@@ -216,10 +216,12 @@ def load_or_build(path: Path, catalog: Catalog) -> tuple[TripleIndex, str]:
     message : str
         Why it was built, and whether it could be stored; empty when it was loaded.
     """
-    try:
-        return TripleIndex.load(path, catalog), ""
-    except InputError as error:
-        message = f"{error}; built anew"
+    message = f"{path} is built, once for this catalogue"
+    if path.exists():
+        try:
+            return TripleIndex.load(path, catalog), ""
+        except InputError as error:
+            message = f"{error}; built anew"
     index = TripleIndex.build(catalog)
     try:
         index.save(path)
