@@ -82,7 +82,8 @@ class ImportOptions:
     west_longitudes : bool
         Whether longitudes are positive west.
     height : str, optional
-        Column of the heights of the rims above the body's sphere, m; by default `RIM_HEIGHT_M`.
+        Column of the heights of the rims above the body's sphere, in km if its name says so, else in m; by
+        default `RIM_HEIGHT_M`.
     """
 
     latitude: str | None = None
@@ -144,6 +145,11 @@ class Columns:
         return [name for name in (self.identifier, self.body, self.system) if name]
 
     @property
+    def height_m(self) -> float:
+        """Metres in the unit of the heights, which the column's name says: km, or else m."""
+        return _METRES_PER["km" if self.height is not None and "km" in _words(self.height) else "m"]
+
+    @property
     def shown(self) -> str:
         """What the columns were recognised as, as words for messages."""
         names = self.ellipse or self.circle
@@ -151,7 +157,7 @@ class Columns:
         unit = "deg of radius" if self.angular else half[self.size_m]
         sizes = " and ".join(names[2:4])
         positive = "west" if self.west else "east"
-        height = f", height {self.height} (m)" if self.height else ""
+        height = f", height {self.height} ({'m' if self.height_m == 1.0 else 'km'})" if self.height else ""
         return f"latitude {names[0]}, longitude {names[1]} ({positive}), size {sizes} ({unit}){height}"
 
 
@@ -239,6 +245,9 @@ def _rims(path: Path, names: Sequence[str], options: ImportOptions, line: int) -
     for name in (*given, options.identifier, options.height):
         if name is not None and name not in names:
             raise InputError(path, f"expected this column, found {_listed(names)}", line=line, column=name)
+    if options.height is not None and "depth" in _words(options.height):
+        problem = "expected heights of the rims above the body's sphere, this column's name says depth"
+        raise InputError(path, problem, line=line, column=options.height)
     written = {name.upper(): name for name in names}
     identifier = options.identifier or _one_of(names, _IDENTIFIERS)
     others = (

@@ -219,7 +219,7 @@ def _check_system(table: ForeignTable, found: Columns, body: Body) -> None:
 def _heights(table: ForeignTable, found: Columns) -> FloatArray | None:
     """Heights (n,) of the rims, NaN where one is missing; None without any."""
     heights: FloatArray | None = table.columns[found.height] if found.height else None
-    return None if heights is None or np.isnan(heights).all() else heights
+    return None if heights is None or np.isnan(heights).all() else found.height_m * heights
 
 
 def _tilts(table: ForeignTable, found: Columns, keep: BoolArray) -> FloatArray | None:

@@ -82,7 +82,7 @@ class Columns:
     height: Annotated[
         str | None,
         typer.Option(
-            help="Column of the rims' heights above the body's sphere, m.",
+            help="Column of the rims' heights above the body's sphere, in km if its name says so, else m.",
             show_default="RIM_HEIGHT_M, if there is one",
         ),
     ] = None

@@ -70,6 +70,12 @@ def test_heights_in_a_column_of_another_name_are_read(tmp_path):
     assert (catalog.height_m.tolist(), catalog.has_heights) == ([-12.5, 8.0], True)
     assert report.columns.endswith("height elevation (m)")
     refused(path, "altitude: expected this column, found lat, lon", body, height="altitude")
+    path = written(tmp_path, "lat,lon,diameter_m,height_km\n10,20,30,-0.0125\n-40,50,20,0.008\n")
+    catalog, report = import_catalog(path, body, ImportOptions(height="height_km"))
+    assert catalog.height_m.tolist() == [-12.5, 8.0]
+    assert report.columns.endswith("height height_km (km)")
+    path = written(tmp_path, "lat,lon,diameter_m,depth_m\n10,20,30,5\n-40,50,20,8\n")
+    refused(path, "depth_m: expected heights .* this column's name says depth", body, height="depth_m")
     path = written(tmp_path, "lat,lon,diameter_m,r\n10,20,30,240.5\n-40,50,20,253.03\n")
     refused(
         path, "r: expected heights above the sphere .* distances from the body's centre", body, height="r"
