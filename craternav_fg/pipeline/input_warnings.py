@@ -9,6 +9,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalogs.bodies import SAME_SPHERE, SPHERES_M, known_name
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.importing.bodies import known_mu_m3_s2, known_spin_rad_s
+from craternav_fg.pipeline.detected_intrinsics import DetectedIntrinsics
 from factors.arrays import FloatArray
 
 # Departure of the sun from its place among the stars that a warning names: what a tilt in the image shows.
@@ -249,6 +250,35 @@ def _listed(names: Sequence[str]) -> str:
     """List the first of many names."""
     shown = ", ".join(names[:_MAX_LISTED])
     return shown if len(names) <= _MAX_LISTED else f"{shown} and {len(names) - _MAX_LISTED} more"
+
+
+def deviating_intrinsics(found: DetectedIntrinsics | None) -> list[str]:
+    """Warn of intrinsics that detected rims contradict, and name by how much.
+
+    Parameters
+    ----------
+    found : DetectedIntrinsics or None
+        See `detected_intrinsics.detected_intrinsics`.
+
+    Returns
+    -------
+    list of str
+    """
+    parts = []
+    if found is not None and found.focal_is_off:
+        parts.append(
+            f"a focal length {100.0 * abs(found.focal_share):.2g} +- {100.0 * found.focal_sigma_share:.1g} % "
+            f"{'larger' if found.focal_share > 0.0 else 'smaller'} than the camera's"
+        )
+    if found is not None and found.principal_point_is_off:
+        (x, y), (dx, dy) = found.shift_px, found.shift_sigma_px
+        parts.append(f"a principal point ({x:.2g} +- {dx:.1g}, {y:.2g} +- {dy:.1g}) px from the camera's")
+    if found is None or not parts:
+        return []
+    return [
+        f"rims that are detected in {found.images} images and identified by themselves show "
+        f"{' and '.join(parts)}: check the intrinsics, the lens and the resolution in its sensor.yaml"
+    ]
 
 
 def long_lever_arms(mountings: Mapping[str, FloatArray]) -> list[str]:

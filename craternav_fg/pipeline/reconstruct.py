@@ -18,6 +18,7 @@ from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import make_problem
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.pipeline.detected_intrinsics import detected_intrinsics
 from craternav_fg.pipeline.displacement import displacement
 from craternav_fg.pipeline.initial_state import find_initial
 from craternav_fg.pipeline.intrinsics_error import with_intrinsics_error
@@ -168,7 +169,9 @@ def reconstruct(
             frames = without_map_errors(measured.frames, problems, limits.correlated_errors)
         bare = _problems(replace(descent, catalog=problems[0].catalog), replace(measured, frames=frames))
     trajectories, failures, estimation_s = _run(chosen, problems, bare, measured.frames, report)
+    first = next(iter(trajectories.values()))
     searched = None if RIMS in without else measured.limits
+    expected = _expected_rims(dataset, first, searched)
     return Reconstruction(
         frames=measured.frames,
         problems=problems,
@@ -179,7 +182,8 @@ def reconstruct(
         options=_options(chosen, measured.limits),
         failures=failures,
         index_note=relocaliser.index_note,
-        expected_rims=_expected_rims(dataset, next(iter(trajectories.values())), searched),
+        expected_rims=expected,
+        detected_intrinsics=detected_intrinsics(dataset, relocaliser, measured.frames, expected, first.gTb),
         predicted=measured.guides,
         ignored=dataset.ignored,
         in_colour=dataset.in_colour,

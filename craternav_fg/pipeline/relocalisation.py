@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import platformdirs
 
+from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset, layout
 from craternav_fg.ellipse import normalised_chart
@@ -26,6 +27,8 @@ from factors.arrays import FloatArray, IntArray
 
 # Fewer matched rims may agree by chance.
 _MIN_RIMS = 3
+# Least semi-minor axis, px, of craters among which an image's rims are identified.
+_LEAST_SEMI_MINOR_PX = 5.0
 
 
 @dataclass(frozen=True)
@@ -149,6 +152,48 @@ class Relocaliser:
         if fix is not None:
             return fix
         return PoseFix(answer.gTb, rotate_position_block(answer.covariance, answer.gTb[:3, :3]), len(matched))
+
+    @property
+    def camera(self) -> Camera:
+        """Camera of the rims: without distortion."""
+        return self._dataset.camera.pinhole
+
+    def identified_near(self, index: int, gTb: FloatArray) -> tuple[MatchedRims, FloatArray] | None:
+        """Identify the rims that are traced in an image among the craters around those that a pose sees.
+
+        Parameters
+        ----------
+        index : int
+            Index of the frame.
+        gTb : ndarray, shape (4, 4)
+            Pose of the body in g, m: nothing else depends on it.
+
+        Returns
+        -------
+        rims : MatchedRims
+        gTb : ndarray, shape (4, 4)
+            Pose by these rims.
+        None
+            When they are not identified.
+        """
+        around_px = 0.5 * max(self.camera.width_px, self.camera.height_px)
+        among = self._map.visible(
+            self.camera, gTb, min_semi_minor_px=_LEAST_SEMI_MINOR_PX, margin_px=-around_px
+        )[0]
+        found = find_rims_network(self._image(index))
+        if len(among) < _MIN_RIMS or len(found) < _MIN_RIMS:
+            return None
+        part = self._map.take(among)
+        answer = identify(
+            found.ellipses_px, self.camera, TripleIndex.build(part), options=IdentifyOptions.of(self.camera),
+            traced=found.traced,
+        )  # fmt: skip
+        if not answer.identified:
+            return None
+        charts, covariances = self._normalised(found)
+        matched = np.flatnonzero((answer.rows >= 0) & found.traced)
+        rims = RimSet(answer.rows[matched], charts[matched], covariances[matched])
+        return MatchedRims.of(rims, part), answer.gTb
 
     def match(self, index: int, gTb: FloatArray, pose_covariance: FloatArray) -> PoseFix | None:
         """Find the pose of a frame from its image and a poor prediction.

@@ -23,6 +23,7 @@ from craternav_fg.evaluation.sensor_consistency import (
 )
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline import input_warnings, warnings
+from craternav_fg.pipeline.detected_intrinsics import DetectedIntrinsics
 from craternav_fg.pipeline.displacement import displacement
 from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
 from craternav_fg.pipeline.rim_mistakes import likely_rim_mistake
@@ -72,6 +73,9 @@ class Reconstruction:
         Images of the data set that are in colour.
     repeated_craters : tuple of str
         See `Dataset.repeated_craters`.
+    detected_intrinsics : DetectedIntrinsics or None
+        Deviation of the camera's intrinsics from those by rims detected without a prediction; None where the
+        images were not asked, or do not tell.
     sun_departure_rad : float
         See `Dataset.sun_departure_rad`.
     repeated : mapping of str to str
@@ -102,6 +106,7 @@ class Reconstruction:
     ignored: tuple[str, ...] = ()
     in_colour: int = 0
     repeated_craters: tuple[str, ...] = ()
+    detected_intrinsics: DetectedIntrinsics | None = None
     sun_departure_rad: float = 0.0
     repeated: Mapping[str, str] = field(default_factory=dict)
     disbelieved: Mapping[int, str] = field(default_factory=dict)
@@ -229,6 +234,7 @@ class Reconstruction:
             images=self.predicted is not None,
             motion=descent.motion is not None,
         )
+        of_detected = input_warnings.deviating_intrinsics(self.detected_intrinsics)
         return (
             *warnings.failed_estimators(self.failures),
             *warnings.contradicted_without_rims(FILTER, self._without_rims()),
@@ -239,6 +245,7 @@ class Reconstruction:
             *warnings.contradicted_prior(*self._prior(), self._displaced()),
             *of_sensors,
             *warnings.contradicted_intrinsics(self._contradicted(contradicted_intrinsics)),
+            *of_detected,
             *warnings.contradicted_lens(self._contradicted(contradicted_lens)),
             *input_warnings.long_lever_arms(
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
@@ -264,7 +271,7 @@ class Reconstruction:
                 [sensor.name for sensor in descent.sensors],
             ),
             *input_warnings.unstated_map_errors(
-                descent.catalog, self._contradicts_the_map(), self._tenth_px_m()
+                descent.catalog, self._contradicts_the_map() and not of_detected, self._tenth_px_m()
             ),
         )
 
