@@ -9,6 +9,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalogs.bodies import SAME_SPHERE, SPHERES_M, known_name
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.importing.bodies import known_mu_m3_s2, known_spin_rad_s
+from craternav_fg.imu import ImuLog
 from craternav_fg.pipeline.detected_intrinsics import DetectedIntrinsics
 from factors.arrays import FloatArray
 
@@ -21,6 +22,8 @@ _SAME_MOTION = 0.005
 # Heights of rims on a body of that radius scatter by hundreds of metres: fewer craters than these may lie on
 # one level, and heights below the limit are in another unit.
 _LARGE_BODY_M, _MIN_HEIGHTS, _LOW_HEIGHT_M = 1e5, 8, 12.0
+# Rows in a row that may be equal by chance of digits are fewer; of the others, at most this share.
+_MIN_FROZEN_ROWS, _MAX_REPEATED_SHARE = 20, 0.02
 # No lander carries a sensor farther than this from its body origin.
 _MAX_LEVER_ARM_M = 50.0
 # Lever arms of cameras on landers are of this order: one that was left out shows in smaller errors than that.
@@ -43,6 +46,41 @@ def unknown_sensors(ignored: Sequence[str]) -> list[str]:
         return []
     return [
         f"not used: mav0/{', mav0/'.join(ignored)}: unknown sensor (`craternav sensors` lists the known ones)"
+    ]
+
+
+def dead_imu(imu: ImuLog | None) -> list[str]:
+    """Warn of an IMU that measured nothing, or stopped measuring: its rows are zero, or repeat one another.
+
+    Parameters
+    ----------
+    imu : ImuLog or None
+
+    Returns
+    -------
+    list of str
+    """
+    if imu is None or len(imu.stamps_ns) < _MIN_FROZEN_ROWS:
+        return []
+    values = {"angular velocities": imu.gyro_rad_s, "specific forces": imu.accelerometer_m_s2}
+    dead = [f"imu: all its {name} are zero" for name, rows in values.items() if not rows.any()]
+    rows = np.concatenate(list(values.values()), axis=1)
+    repeats = np.concatenate([[False], (rows[1:] == rows[:-1]).all(axis=1), [False]])
+    # Runs of rows that repeat the one before.
+    ends = np.flatnonzero(repeats[1:] != repeats[:-1]).reshape(-1, 2)
+    lengths = ends[:, 1] - ends[:, 0]
+    if dead or not len(lengths):
+        return dead
+    longest = int(np.argmax(lengths))
+    begin, end = (int(row) for row in ends[longest])
+    # Logs without noise repeat themselves all along.
+    others = int(lengths.sum() - lengths[longest])
+    if lengths[longest] < _MIN_FROZEN_ROWS or others > _MAX_REPEATED_SHARE * len(rows):
+        return []
+    first_s = 1e-9 * float(imu.stamps_ns[begin] - imu.stamps_ns[0])
+    return [
+        f"imu: from {first_s:.6g} s after its first row on, {end - begin + 1} rows repeat the same values: "
+        "has the log stopped there?"
     ]
 
 

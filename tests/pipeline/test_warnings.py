@@ -10,6 +10,7 @@ from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.evaluation.innovations import Innovations
 from craternav_fg.evaluation.sensor_consistency import ResidualSummary
+from craternav_fg.imu import ImuLog
 from craternav_fg.pipeline import input_warnings, warnings
 from craternav_fg.pipeline.displacement import displacement
 from craternav_fg.simulation.scenes import MOON
@@ -87,6 +88,33 @@ def craters(heights_m: list[float], errors: MapErrors | None = None) -> Catalog:
     place, size = np.linspace(0.0, 0.01, n), np.full(n, 500.0)
     names = tuple(f"C{k}" for k in range(n))
     return Catalog(names, place, place, size, size, np.zeros(n), np.array(heights_m), MOON, errors=errors)
+
+
+def imu_log(count: int = 400, noise: float = 1e-3) -> ImuLog:
+    rng = np.random.default_rng(2)
+    gyro, force = noise * rng.normal(size=(2, count, 3))
+    return ImuLog(10_000_000 * np.arange(count), 0.01 + gyro, 1.5 + force)
+
+
+def test_an_imu_that_measured_nothing_is_told() -> None:
+    log = imu_log()
+    assert input_warnings.dead_imu(log) == input_warnings.dead_imu(None) == []
+    (text,) = input_warnings.dead_imu(dataclasses.replace(log, gyro_rad_s=0.0 * log.gyro_rad_s))
+    assert text == "imu: all its angular velocities are zero"
+    (text,) = input_warnings.dead_imu(dataclasses.replace(log, accelerometer_m_s2=np.zeros((400, 3))))
+    assert text == "imu: all its specific forces are zero"
+
+
+def test_an_imu_that_stopped_is_told() -> None:
+    log = imu_log()
+    gyro, force = log.gyro_rad_s.copy(), log.accelerometer_m_s2.copy()
+    gyro[250:], force[250:] = gyro[250], force[250]
+    (text,) = input_warnings.dead_imu(ImuLog(log.stamps_ns, gyro, force))
+    assert "from 2.5 s after its first row on, 150 rows repeat the same values" in text
+    # Only the gyro repeats itself; and a simulated log without noise.
+    assert input_warnings.dead_imu(ImuLog(log.stamps_ns, gyro, log.accelerometer_m_s2)) == []
+    steps = np.repeat(np.arange(1.0, 9.0), 50)[:, None] * np.ones(3)
+    assert input_warnings.dead_imu(ImuLog(log.stamps_ns, steps, steps)) == []
 
 
 def test_craters_that_the_catalogue_has_twice_are_told() -> None:
