@@ -157,7 +157,12 @@ def draw_bounds(trajectories: Mapping[str, Trajectory], truth: Trajectory) -> Fi
         for column, (error, sigma) in enumerate(error_components(trajectory, truth)):
             for i, axes in enumerate(grid[:, column]):
                 bound = 3.0 * sigma[:, i]
-                axes.fill_between(t, -bound, bound, color=styles[name]["color"], alpha=0.2)
+                if len(drawn) == 1:
+                    axes.fill_between(t, -bound, bound, color=styles[name]["color"], alpha=0.2)
+                else:
+                    # Bands on top of one another would mix their colours.
+                    for edge in (-bound, bound):
+                        axes.plot(t, edge, lw=0.8, alpha=0.6, **styles[name])
                 axes.plot(t, error[:, i], lw=1.3, **styles[name], label=name)
                 limit = max(np.percentile(bound, 95), np.abs(error[:, i]).max())
                 largest[i, column] = max(largest[i, column], limit)
