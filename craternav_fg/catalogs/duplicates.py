@@ -1,7 +1,6 @@
 """Craters that a catalogue has twice, as one that was merged from several tables may."""
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from craternav_fg import frames
 from craternav_fg.catalogs.model import Catalog
@@ -26,6 +25,9 @@ def repeated_craters(catalog: Catalog) -> IntArray:
     ndarray of int, shape (k,)
         Rows, increasing.
     """
+    # Every command that reads a data set would import it: a tenth of a second.
+    from scipy.spatial import cKDTree
+
     size_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
     places = frames.up(catalog.latitude_rad, catalog.longitude_rad)
     tree = cKDTree(places)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,8 +11,11 @@ from craternav_fg.catalogs.bodies import SAME_SPHERE, SPHERES_M, known_name
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.importing.bodies import known_mu_m3_s2, known_spin_rad_s
 from craternav_fg.imu import ImuLog
-from craternav_fg.pipeline.detected_intrinsics import DetectedIntrinsics
 from factors.arrays import FloatArray
+
+if TYPE_CHECKING:
+    # The commands for one image name their mounting here, and detect nothing.
+    from craternav_fg.pipeline.detected_intrinsics import DetectedIntrinsics
 
 # Departure of the sun from its place among the stars that a warning names: what a tilt in the image shows.
 _MAX_DEPARTURE_RAD = math.radians(2.0)
@@ -290,7 +294,7 @@ def _listed(names: Sequence[str]) -> str:
     return shown if len(names) <= _MAX_LISTED else f"{shown} and {len(names) - _MAX_LISTED} more"
 
 
-def deviating_intrinsics(found: DetectedIntrinsics | None) -> list[str]:
+def deviating_intrinsics(found: "DetectedIntrinsics | None") -> list[str]:
     """Warn of intrinsics that detected rims contradict, and name by how much.
 
     Parameters
