@@ -19,8 +19,6 @@ from factors.imu_noise import ImuNoise
 # Error of the integration scheme itself, m^2/s: far below a sensor's, but not zero, so that the position
 # block of the preintegrated covariance is regular.
 INTEGRATION_VARIANCE = 1e-10
-# Cyclic permutations of three components.
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 def parameters(
@@ -102,9 +100,7 @@ def integrate(
     b = validation.array("bias", bias, (6,))
     pim = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias(b[3:], b[:3]))
     # A row's force is the mean along turning axes; GTSAM takes it along the axes at the row's beginning.
-    turn, force = 0.5 * (w - b[:3]) * dt[:, None], f - b[3:]
-    # As `numpy.cross`, in a third of its time.
-    f += turn[:, _NEXT] * force[:, _LAST] - turn[:, _LAST] * force[:, _NEXT]
+    f = f + 0.5 * np.cross((w - b[:3]) * dt[:, None], f - b[3:])
     step = pim.integrateMeasurement
     for force, rate, dt_k in zip(f, w, dt.tolist(), strict=True):
         step(force, rate, dt_k)

@@ -16,10 +16,10 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.ellipse import pixel_chart, semi_minor
+from craternav_fg.ellipse_distance import signed_distances
 from craternav_fg.measurements import ArcSet, RimSet
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.simulation.world import World, make_world
-from craternav_fg.vision.ellipse_distance import signed_distances
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, in_plane_slopes
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import GuidedOptions

@@ -20,7 +20,8 @@ from scipy.special import chdtri
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.frames import rotate_position_block
-from craternav_fg.matching.gate_search import COMPONENTS, ExpandedPose, GateOptions, GateSearch
+from craternav_fg.matching.expanded_pose import ExpandedPose
+from craternav_fg.matching.gate_search import COMPONENTS, GateOptions, GateSearch
 from factors.arrays import BoolArray, FloatArray, IntArray
 
 __all__ = ["GateOptions", "Matches", "match_rims"]

@@ -11,6 +11,7 @@ import numpy as np
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.pipeline.intrinsics_check import pooled
 from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.resection.intrinsics import IntrinsicsFit, IntrinsicsPrior, fit_intrinsics
 from craternav_fg.resection.problem import ResectionProblem
@@ -130,8 +131,5 @@ def _mean(told: Sequence[FloatArray]) -> DetectedIntrinsics | None:
     if len(told) < 2:
         return None
     values, sigmas = np.array(told).transpose(1, 0, 2)
-    weights = sigmas**-2.0
-    mean = np.sum(weights * values, axis=0) / weights.sum(axis=0)
-    scatter = np.sum(weights * (values - mean) ** 2, axis=0) / (len(values) - 1)
-    sigma = np.sqrt(np.maximum(scatter, 1.0) / weights.sum(axis=0))
+    mean, sigma = pooled(values, sigmas)
     return DetectedIntrinsics(len(values), float(np.expm1(mean[0])), float(sigma[0]), mean[1:], sigma[1:])

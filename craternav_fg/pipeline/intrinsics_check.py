@@ -104,11 +104,26 @@ def _is_off(values: FloatArray, sigmas: FloatArray) -> bool:
     """Whether the mean of one of k numbers that n frames tell, both (n, k), is not zero."""
     if len(values) < _MIN_FRAMES:
         return False
+    mean, sigma = pooled(values, sigmas)
+    return bool((np.abs(mean) > _MAX_SIGMAS * sigma).any())
+
+
+def pooled(values: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Average what frames tell, with standard deviations as large as the frames scatter.
+
+    Parameters
+    ----------
+    values, sigmas : ndarray, shape (n, k)
+        Of at least two frames, k numbers of any unit each, and their standard deviations.
+
+    Returns
+    -------
+    mean, sigma : ndarray, shape (k,)
+    """
     weights = sigmas**-2.0
     mean = np.sum(weights * values, axis=0) / weights.sum(axis=0)
     scatter = np.sum(weights * (values - mean) ** 2, axis=0) / (len(values) - 1)
-    sigma = np.sqrt(np.maximum(scatter, 1.0) / weights.sum(axis=0))
-    return bool((np.abs(mean) > _MAX_SIGMAS * sigma).any())
+    return mean, np.sqrt(np.maximum(scatter, 1.0) / weights.sum(axis=0))
 
 
 def _spread(count: int, most: int) -> slice:

@@ -12,8 +12,8 @@ predicts),
   matching). Both trace rims by `blind_fit` with `blind_kernel`; `canny` is the published method for
   comparison.
 - Shared: `grey`, `image_sampling`, `robust_scale`, `reference_brightness`, `crater_profile`, `rim_geometry`,
-  `edges` with `edge_kernel` and `flank_kernel`, `ellipse_fit` with `ellipse_kernel`, `ellipse_bias`,
-  `ellipse_distance` and `dense_kernel`.
+  `edges` with `edge_kernel` and `flank_kernel`, `ellipse_fit` with `ellipse_kernel`, `ellipse_bias` and
+  `dense_kernel`.
 - `error_model` makes the covariance of a rim, from the fit to what an estimator uses.
 """
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from craternav_fg.ellipse_distance import signed_distances
 from craternav_fg.vision.edges import EdgePoints
-from craternav_fg.vision.ellipse_distance import signed_distances
 from craternav_fg.vision.robust_scale import robust_sigma
 from factors.arrays import FloatArray
 

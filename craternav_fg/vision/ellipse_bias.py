@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from craternav_fg.ellipse_distance import distance_of, distances
 from craternav_fg.vision.dense_kernel import factorised
-from craternav_fg.vision.ellipse_distance import distance_of, distances
 from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 

@@ -7,9 +7,9 @@ points, L = [[e^y3, 0], [y4 e^y3, e^y5]], S = L L'.
 import numpy as np
 
 from craternav_fg.ellipse import whiten_kernel
+from craternav_fg.ellipse_distance import distance_of
 from craternav_fg.vision.dense_kernel import factorised, inverse_block, ordered, solved
 from craternav_fg.vision.ellipse_bias import PSI_VARIANCE, second_order_bias
-from craternav_fg.vision.ellipse_distance import distance_of
 from craternav_fg.vision.robust_scale import MAD_TO_SIGMA
 from factors.arrays import FloatArray
 from factors.kernels.compiled import njit

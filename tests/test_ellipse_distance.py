@@ -2,7 +2,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from craternav_fg.ellipse import points_on
-from craternav_fg.vision.ellipse_distance import signed_distances
+from craternav_fg.ellipse_distance import signed_distances
 
 CHART = np.array([300.0, 200.0, np.log(60.0), 0.4, np.log(45.0)])
 
