@@ -42,3 +42,13 @@ class InputError(CraternavError):
 
 class EstimationError(CraternavError):
     """An estimator cannot use the data it was given; the text says why."""
+
+
+def one_sentence(error: Exception) -> str:
+    """Return the first sentence of an error's text: GTSAM's go on for a page.
+
+    Parameters
+    ----------
+    error : Exception
+    """
+    return " ".join(str(error).split()).split(". ")[0].removesuffix(".")

@@ -28,7 +28,7 @@ from craternav_fg.pipeline.options_file import OptionsFile, default_options
 from craternav_fg.runs.store import CONTENTS, DATASET, MARKER
 
 if TYPE_CHECKING:
-    from craternav_fg.pipeline.reconstruct import Progress
+    from craternav_fg.pipeline.measuring import Progress
 
 
 @app.command(epilog=example("demo -o runs/demo --seed 7"))

@@ -21,7 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from craternav_fg.pipeline.reconstruct import Progress as Report
+    from craternav_fg.pipeline.measuring import Progress as Report
 
 
 class _Results(Console):

@@ -16,6 +16,7 @@ from factors.arrays import FloatArray
 if TYPE_CHECKING:
     # The commands for one image name their mounting here, and detect nothing.
     from craternav_fg.pipeline.detected_intrinsics import DetectedIntrinsics
+    from craternav_fg.resection.map_variances import EstimatedErrors
 
 # Departure of the sun from its place among the stars that a warning names: what a tilt in the image shows.
 _MAX_DEPARTURE_RAD = math.radians(2.0)
@@ -242,6 +243,26 @@ def unstated_map_errors(catalog: Catalog, contradicted: bool, tenth_px_m: float)
         "the catalogue states no errors and counts as exact, which alone can cause the warnings of rims, of "
         f"the IMU and of frames without rims: unless its places and heights are known to {tenth_px_m:.1g} m "
         "(a tenth of a pixel), state PLACE_SIGMA_M, SIZE_SIGMA_SHARE and RIM_HEIGHT_SIGMA_M"
+    ]
+
+
+def assumed_map_errors(errors: "EstimatedErrors | None") -> list[str]:
+    """Tell which errors were assumed of a catalogue that states none.
+
+    Parameters
+    ----------
+    errors : EstimatedErrors or None
+
+    Returns
+    -------
+    list of str
+    """
+    if errors is None:
+        return []
+    return [
+        "the catalogue states no errors, but the rims of single images contradict it at every pose: standard "
+        f"deviations with which they agree were assumed, {errors.words}; state PLACE_SIGMA_M, "
+        "SIZE_SIGMA_SHARE and RIM_HEIGHT_SIGMA_M if you know better"
     ]
 
 

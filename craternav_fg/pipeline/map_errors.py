@@ -93,7 +93,7 @@ def with_map_errors(
     """
     camera, catalog = problems[0].camera, problems[0].catalog
     try:
-        poses = _poses(problems)
+        poses = filtered_poses(problems)
     except (EstimationError, *NUMERICAL_ERRORS):
         return with_white_map_errors(frames, catalog)
     roots = [_roots(frame, poses, camera, catalog) for frame in frames]
@@ -137,7 +137,7 @@ def without_map_errors(
     if not map_variances(np.arange(len(catalog)), catalog, options).any():
         return tuple(frames)
     try:
-        poses = _poses(problems)
+        poses = filtered_poses(problems)
     except (EstimationError, *NUMERICAL_ERRORS):
         return tuple(frames)
 
@@ -157,8 +157,24 @@ def _variances(rows: IntArray, catalog: Catalog) -> FloatArray:
     return map_variances(rows, catalog, CorrelatedErrorOptions())
 
 
-def _poses(problems: Sequence[Problem]) -> dict[int, FloatArray]:
-    """Poses gTb by stamp, from the filter."""
+def filtered_poses(problems: Sequence[Problem]) -> dict[int, FloatArray]:
+    """Poses of a descent by the filter.
+
+    Parameters
+    ----------
+    problems : sequence of Problem
+        Its segments.
+
+    Returns
+    -------
+    dict of int to ndarray, shape (4, 4)
+        Poses gTb of the body in g, m, by stamp in ns.
+
+    Raises
+    ------
+    EstimationError
+        When the filter fails.
+    """
     return {
         frame.stamp_ns: state.gTb
         for problem in problems

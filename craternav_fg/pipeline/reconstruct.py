@@ -1,87 +1,42 @@
 """From a data set to trajectories: front end, start, and every estimator on the same measurements."""
 
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from craternav_fg.dataset import Dataset
-from craternav_fg.dataset.images import ImageArray
-from craternav_fg.errors import EstimationError
+from craternav_fg.errors import EstimationError, one_sentence
 from craternav_fg.estimators.base import NUMERICAL_ERRORS, Descent, Estimator, Problem
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
-from craternav_fg.estimators.instruments import CAMERA_AND_IMU, IMU, RIMS, SUN
+from craternav_fg.estimators.instruments import IMU, RIMS, SUN
 from craternav_fg.estimators.registry import DEFAULT, estimator
-from craternav_fg.estimators.sensor_bank import SensorBank
-from craternav_fg.estimators.start import make_problem
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.detected_intrinsics import detected_intrinsics
 from craternav_fg.pipeline.displacement import displacement
 from craternav_fg.pipeline.initial_state import find_initial
 from craternav_fg.pipeline.intrinsics_error import with_intrinsics_error
 from craternav_fg.pipeline.lever_arm import with_lever_arm_error
-from craternav_fg.pipeline.map_errors import (
-    lack_map_errors,
-    with_map_errors,
-    with_white_map_errors,
-    without_map_errors,
-)
 from craternav_fg.pipeline.map_shift import with_common_shift
+from craternav_fg.pipeline.measuring import Measured, Measuring, Progress, expected_rims
 from craternav_fg.pipeline.mistakes import likely_mistake, turned_about_axis
 from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.repeated_images import repeated_images
 from craternav_fg.pipeline.result import Reconstruction
-from craternav_fg.pipeline.rim_planes import heights_of_points, lowered_to_planes
-from craternav_fg.pipeline.sensor_checks import check_imu, check_logs
-from craternav_fg.pipeline.tracking import Segment, Tracker
+from craternav_fg.pipeline.tracking import Segment
+from craternav_fg.pipeline.unstated_map import with_unstated_errors
 from craternav_fg.pipeline.warnings import MAX_POSITION_SIGMAS
 from craternav_fg.sensors.point_features import NAME as FEATURES
-from craternav_fg.sensors.point_features import FeatureTracks
 from craternav_fg.sensors.protocol import Sensor
 from craternav_fg.trajectory import InitialState, Trajectory
-from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import GuidedOptions
-from craternav_fg.vision.point_tracks import GroundMotion, track_points
 from factors.arrays import BoolArray, FloatArray, IntArray
 
 # Of eigenvalues of correlations, which may be negative by so much.
 _MAX_ROUNDING = 1e-9
-
-# Called with the name of a step, its finished amount and its total.
-Progress = Callable[[str, int, int], None]
-
-
-@dataclass(frozen=True)
-class _Measured:
-    """Measurements of a descent.
-
-    Attributes
-    ----------
-    frames : tuple of FrameMeasurement
-    segments : tuple of Segment
-    guides : ndarray, shape (k, 4, 4), or None
-        Poses of the body that guided the front end; None when the data set holds the measurements.
-    limits : GuidedOptions or None
-        Options of the front end, if there was one.
-    disbelieved : mapping of int to FrameMeasurement
-        See `Tracked`.
-    """
-
-    frames: tuple[FrameMeasurement, ...]
-    segments: tuple[Segment, ...]
-    guides: FloatArray | None = None
-    limits: GuidedOptions | None = None
-    disbelieved: Mapping[int, FrameMeasurement] = field(default_factory=dict)
-
-    @property
-    def every(self) -> "_Measured":
-        """The same with what was left out."""
-        return replace(
-            self, frames=tuple(self.disbelieved.get(k, frame) for k, frame in enumerate(self.frames))
-        )
 
 
 def reconstruct(
@@ -130,48 +85,17 @@ def reconstruct(
     relocaliser = Relocaliser(dataset)
     repeated = {} if dataset.measurements is not None else repeated_images(dataset.image_paths)
     initial = _initial_state(dataset, relocaliser, report, repeated)
-    measured = _measure(dataset, initial, relocaliser, report, front_end or GuidedOptions(), repeated)
-    measured = replace(
-        measured,
-        frames=tuple(_left_out(frame, without) for frame in measured.frames),
-        disbelieved={k: _left_out(frame, without) for k, frame in measured.disbelieved.items()},
-    )
-    descent = Descent.of(dataset, initial)
-    if dataset.features is None and measured.limits is not None and measured.limits.points.count:
-        descent = replace(descent, features=_tracks(dataset, measured, measured.limits, report))
-    as_read = measured.frames
-    lacking = dataset.measurements is not None and lack_map_errors(as_read, descent.catalog)
-    if lacking:
-        measured = replace(measured, frames=with_white_map_errors(as_read, descent.catalog))
-    try:
-        problems = _problems(descent, measured)
-        # Where a wrong IMU led, the rims of its frames are those that were left out.
-        check_imu(_problems(descent, measured.every), dataset.path)
-        check_logs(problems, dataset.path)
-        if lacking:
-            measured = replace(measured, frames=with_map_errors(as_read, problems))
-            problems = _problems(descent, measured)
-    except NUMERICAL_ERRORS as error:
-        raise EstimationError(f"start: {_one_line(error)}") from error
+    measuring = Measuring(initial, front_end or GuidedOptions(), without, repeated, report)
+    prepared, map_errors = with_unstated_errors(measuring.prepared(dataset, relocaliser), measuring)
     times_s = {"front_end": time.perf_counter() - began}
-    lowered = heights_of_points(problems)
-    if lowered:
-        problems = _problems(replace(descent, catalog=lowered_to_planes(descent.catalog)), measured)
+    dataset, measured, problems = prepared.dataset, prepared.measured, prepared.problems
     bare = problems
     if any(getattr(one, "estimates_map", False) for one in chosen):
-        if lacking:
-            # Only rims have variables for the errors of the map.
-            frames = tuple(
-                replace(frame, rims=read.rims) for frame, read in zip(measured.frames, as_read, strict=True)
-            )
-        else:
-            limits = measured.limits or GuidedOptions()
-            frames = without_map_errors(measured.frames, problems, limits.correlated_errors)
-        bare = _problems(replace(descent, catalog=problems[0].catalog), replace(measured, frames=frames))
+        bare = replace(measured, frames=prepared.without_map_errors()).problems(prepared.descent)
     trajectories, failures, estimation_s = _run(chosen, problems, bare, measured.frames, report)
     first = next(iter(trajectories.values()))
     searched = None if RIMS in without else measured.limits
-    expected = _expected_rims(dataset, first, searched)
+    expected = expected_rims(dataset, first.gTb, searched)
     return Reconstruction(
         frames=measured.frames,
         problems=problems,
@@ -181,9 +105,11 @@ def reconstruct(
         times_s=times_s | estimation_s,
         options=_options(chosen, measured.limits),
         failures=failures,
-        index_note=relocaliser.index_note,
+        index_note=prepared.relocaliser.index_note,
         expected_rims=expected,
-        detected_intrinsics=detected_intrinsics(dataset, relocaliser, measured.frames, expected, first.gTb),
+        detected_intrinsics=detected_intrinsics(
+            dataset, prepared.relocaliser, measured.frames, expected, first.gTb
+        ),
         predicted=measured.guides,
         ignored=dataset.ignored,
         in_colour=dataset.in_colour,
@@ -192,8 +118,9 @@ def reconstruct(
         repeated={_name(dataset, k): _name(dataset, first) for k, first in repeated.items()},
         disbelieved={k: _name(dataset, k) for k in measured.disbelieved},
         displaced=_displaced(dataset, measured.segments),
-        lowered=lowered,
-        mistake="" if searched is None else _mistake(dataset, descent, measured),
+        lowered=prepared.lowered,
+        map_errors=map_errors,
+        mistake="" if searched is None else _mistake(dataset, Descent.of(dataset, initial), measured),
     )
 
 
@@ -230,7 +157,7 @@ def _run(
                 found = with_intrinsics_error(found, problems[0])
             trajectories[one.name] = found
         except (EstimationError, *NUMERICAL_ERRORS) as error:
-            failures[one.name] = f"{one.name}: {_one_line(error)}"
+            failures[one.name] = f"{one.name}: {one_sentence(error)}"
         times_s[one.name] = time.perf_counter() - began
     report("estimator", len(chosen), len(chosen))
     if not trajectories:
@@ -286,65 +213,6 @@ def _initial_state(
     report("index of the catalogue", 1, 1)
     return find_initial(
         dataset, relocaliser, lambda done: report("identified frames", done, len(dataset)), repeated
-    )
-
-
-def _measure(
-    dataset: Dataset,
-    initial: InitialState,
-    relocaliser: Relocaliser,
-    report: Progress,
-    options: GuidedOptions,
-    repeated: Collection[int],
-) -> _Measured:
-    """Take the data set's measurements, or measure its images.
-
-    Raises
-    ------
-    EstimationError
-        When the front end fails.
-    """
-    if dataset.measurements is not None:
-        return _Measured(dataset.measurements, (Segment(0, initial),))
-    front_end = GuidedFrontEnd(dataset.camera, dataset.catalog, options)
-    try:
-        descent = Descent.of(dataset, initial)
-        tracked = Tracker(dataset, descent, front_end, relocaliser, repeated).run(report)
-    except NUMERICAL_ERRORS as error:
-        hint = "the prediction has diverged: check the IMU's units and axes, and the initial state"
-        raise EstimationError(f"front end: {_one_line(error)}; {hint}") from error
-    return _Measured(tracked.frames, tracked.segments, tracked.guides, front_end.options, tracked.disbelieved)
-
-
-def _tracks(dataset: Dataset, measured: _Measured, limits: GuidedOptions, report: Progress) -> FeatureTracks:
-    """Track points through the images."""
-
-    def images() -> Iterator[ImageArray]:
-        for k in range(len(dataset)):
-            report("tracked points", k, len(dataset))
-            yield dataset.image(k)
-        report("tracked points", len(dataset), len(dataset))
-
-    guides = measured.guides
-    motion = None if guides is None else GroundMotion(guides, dataset.body.radius_m)
-    return track_points(images(), measured.frames, dataset.camera, limits.points, motion)
-
-
-def _left_out(frame: FrameMeasurement, without: Sequence[str]) -> FrameMeasurement:
-    """Take what the camera measured out of a frame."""
-    for one in CAMERA_AND_IMU:
-        if one.name in without:
-            frame = one.left_out(frame)
-    return frame
-
-
-def _problems(descent: Descent, measured: _Measured) -> tuple[Problem, ...]:
-    """Make a problem of each segment, from its first frame to the next segment's."""
-    ends = [segment.first for segment in measured.segments[1:]] + [len(measured.frames)]
-    bank = SensorBank(descent.sensors)
-    return tuple(
-        make_problem(replace(descent, initial=initial), bank.epochs(measured.frames[first:end]))
-        for (first, initial), end in zip(measured.segments, ends, strict=True)
     )
 
 
@@ -424,32 +292,13 @@ def _displaced(dataset: Dataset, segments: Sequence[Segment]) -> str:
     return displacement(before, after) if apart else ""
 
 
-def _expected_rims(
-    dataset: Dataset, trajectory: Trajectory, limits: GuidedOptions | None
-) -> tuple[int, ...] | None:
-    """Count the catalogue craters that each frame should show; None when no rims were searched."""
-    if limits is None:
-        return None
-    return tuple(
-        len(
-            dataset.catalog.visible(
-                dataset.camera,
-                gTb,
-                min_semi_minor_px=limits.min_semi_minor_px,
-                margin_px=limits.margin_px,
-            )[0]
-        )
-        for gTb in trajectory.gTb
-    )
-
-
 def _options(chosen: Sequence[Estimator], limits: GuidedOptions | None) -> dict[str, dict[str, Any]]:
     """Return the options of the estimators that have any and, if it ran, of the front end."""
     options = {one.name: asdict(one.options) for one in chosen if hasattr(one, "options")}
     return options if limits is None else options | {"front_end": asdict(limits)}
 
 
-def _mistake(dataset: Dataset, descent: Descent, measured: _Measured) -> str:
+def _mistake(dataset: Dataset, descent: Descent, measured: Measured) -> str:
     """Explain why no rim was found in any image, or only from a turned camera; empty if nothing does."""
     first = measured.segments[0].initial
     turned = turned_about_axis(dataset.camera, descent.initial.gTb, first.gTb)
@@ -461,11 +310,6 @@ def _mistake(dataset: Dataset, descent: Descent, measured: _Measured) -> str:
 def _name(dataset: Dataset, frame: int) -> str:
     """Name the file of a frame's image."""
     return dataset.image_paths[frame].name
-
-
-def _one_line(error: Exception) -> str:
-    """Return the first sentence of an error's text: GTSAM's go on for a page."""
-    return " ".join(str(error).split()).split(". ")[0].removesuffix(".")
 
 
 def _silent(what: str, done: int, total: int) -> None:

@@ -92,6 +92,24 @@ class Relocaliser:
         if self._dataset.measurements is None:
             _ = self._triples
 
+    def sharing_index(self, dataset: Dataset) -> "Relocaliser":
+        """Return one for a data set with the same craters, which need not be indexed again.
+
+        Parameters
+        ----------
+        dataset : Dataset
+            It may differ in the errors of its catalogue.
+
+        Returns
+        -------
+        Relocaliser
+        """
+        other = Relocaliser(dataset)
+        other.index_note = self.index_note
+        if "_triples" in self.__dict__:
+            other.__dict__["_triples"] = self._triples
+        return other
+
     @property
     def _map(self) -> Catalog:
         # Poses that guide the front end are relative to the map: the error of the map as a whole is left out.

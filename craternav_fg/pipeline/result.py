@@ -27,6 +27,7 @@ from craternav_fg.pipeline.detected_intrinsics import DetectedIntrinsics
 from craternav_fg.pipeline.displacement import displacement
 from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
 from craternav_fg.pipeline.rim_mistakes import likely_rim_mistake
+from craternav_fg.resection.map_variances import EstimatedErrors
 from craternav_fg.trajectory import Trajectory
 from factors.arrays import FloatArray
 
@@ -90,6 +91,9 @@ class Reconstruction:
         Where the initial position was replaced by one that contradicts it: where it is from it.
     lowered : bool
         Whether the catalogue's heights were taken for those of the rims' points, see `pipeline.rim_planes`.
+    map_errors : EstimatedErrors or None
+        Errors that were assumed of a catalogue that states none, as the rims show them; None where it states
+        its errors, or the rims agree with it.
     """
 
     frames: tuple[FrameMeasurement, ...]
@@ -113,6 +117,7 @@ class Reconstruction:
     mistake: str = ""
     displaced: str = ""
     lowered: bool = False
+    map_errors: EstimatedErrors | None = None
 
     @cached_property
     def innovations(self) -> Innovations | None:
@@ -271,6 +276,7 @@ class Reconstruction:
                 self.mistake,
                 [sensor.name for sensor in descent.sensors],
             ),
+            *input_warnings.assumed_map_errors(self.map_errors),
             *input_warnings.unstated_map_errors(
                 descent.catalog, self._contradicts_the_map() and not of_detected, self._tenth_px_m()
             ),

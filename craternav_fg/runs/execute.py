@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.estimators.base import Estimator
-from craternav_fg.pipeline.reconstruct import Progress, reconstruct
+from craternav_fg.pipeline.measuring import Progress
+from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.plots.overlays import contact_sheet, write_overlays
 from craternav_fg.plots.style import save

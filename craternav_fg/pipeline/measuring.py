@@ -1,0 +1,260 @@
+"""What estimators are given: the measurements of a data set, checked, with the errors of the map."""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from craternav_fg.dataset import Dataset
+from craternav_fg.dataset.images import ImageArray
+from craternav_fg.errors import EstimationError, one_sentence
+from craternav_fg.estimators.base import NUMERICAL_ERRORS, Descent, Problem
+from craternav_fg.estimators.instruments import CAMERA_AND_IMU
+from craternav_fg.estimators.sensor_bank import SensorBank
+from craternav_fg.estimators.start import make_problem
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.pipeline.map_errors import (
+    lack_map_errors,
+    with_map_errors,
+    with_white_map_errors,
+    without_map_errors,
+)
+from craternav_fg.pipeline.relocalisation import Relocaliser
+from craternav_fg.pipeline.rim_planes import heights_of_points, lowered_to_planes
+from craternav_fg.pipeline.sensor_checks import check_imu, check_logs
+from craternav_fg.pipeline.tracking import Segment, Tracker
+from craternav_fg.sensors.point_features import FeatureTracks
+from craternav_fg.trajectory import InitialState
+from craternav_fg.vision.guided import GuidedFrontEnd
+from craternav_fg.vision.guided_options import GuidedOptions
+from craternav_fg.vision.point_tracks import GroundMotion, track_points
+from factors.arrays import FloatArray
+
+# Called with the name of a step, its finished amount and its total.
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Measurements of a descent.
+
+    Attributes
+    ----------
+    frames : tuple of FrameMeasurement
+    segments : tuple of Segment
+    guides : ndarray, shape (k, 4, 4), or None
+        Poses gTb of the body that guided the front end, m; None when the data set holds the measurements.
+    limits : GuidedOptions or None
+        Options of the front end, if there was one.
+    disbelieved : mapping of int to FrameMeasurement
+        See `Tracked`.
+    """
+
+    frames: tuple[FrameMeasurement, ...]
+    segments: tuple[Segment, ...]
+    guides: FloatArray | None = None
+    limits: GuidedOptions | None = None
+    disbelieved: Mapping[int, FrameMeasurement] = field(default_factory=dict)
+
+    @property
+    def every(self) -> "Measured":
+        """The same with what was left out."""
+        return replace(
+            self, frames=tuple(self.disbelieved.get(k, frame) for k, frame in enumerate(self.frames))
+        )
+
+    def problems(self, descent: Descent) -> tuple[Problem, ...]:
+        """Make a problem of each segment, from its first frame to the next segment's.
+
+        Parameters
+        ----------
+        descent : Descent
+
+        Returns
+        -------
+        tuple of Problem
+        """
+        ends = [segment.first for segment in self.segments[1:]] + [len(self.frames)]
+        bank = SensorBank(descent.sensors)
+        return tuple(
+            make_problem(replace(descent, initial=initial), bank.epochs(self.frames[first:end]))
+            for (first, initial), end in zip(self.segments, ends, strict=True)
+        )
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What estimators are given.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    relocaliser : Relocaliser
+    descent : Descent
+        With the catalogue that the problems have.
+    measured : Measured
+        With the errors of the map.
+    read : tuple of FrameMeasurement
+        The frames as they were measured.
+    lacking : bool
+        Whether these lack the errors that the catalogue states, see `lack_map_errors`.
+    problems : tuple of Problem
+        One for each segment.
+    lowered : bool
+        See `Reconstruction`.
+    """
+
+    dataset: Dataset
+    relocaliser: Relocaliser
+    descent: Descent
+    measured: Measured
+    read: tuple[FrameMeasurement, ...]
+    lacking: bool
+    problems: tuple[Problem, ...]
+    lowered: bool
+
+    def without_map_errors(self) -> tuple[FrameMeasurement, ...]:
+        """Take the errors of the map out of the rims, for what estimates them.
+
+        Returns
+        -------
+        tuple of FrameMeasurement
+        """
+        if self.lacking:
+            # Only rims have variables for the errors of the map.
+            return tuple(
+                replace(frame, rims=read.rims)
+                for frame, read in zip(self.measured.frames, self.read, strict=True)
+            )
+        limits = self.measured.limits or GuidedOptions()
+        return without_map_errors(self.measured.frames, self.problems, limits.correlated_errors)
+
+
+@dataclass(frozen=True)
+class Measuring:
+    """How the frames of a data set are measured.
+
+    Attributes
+    ----------
+    initial : InitialState
+    options : GuidedOptions
+    without : sequence of str
+        Names of what is left out of the estimation.
+    repeated : collection of int
+        Frames whose images are copies of earlier ones.
+    report : callable
+        Called with the name of a step, its finished amount and its total.
+    """
+
+    initial: InitialState
+    options: GuidedOptions
+    without: Sequence[str]
+    repeated: Collection[int]
+    report: Progress
+
+    def prepared(self, dataset: Dataset, relocaliser: Relocaliser) -> Prepared:
+        """Measure the frames of a data set, check its logs, and make problems for the estimators.
+
+        Parameters
+        ----------
+        dataset : Dataset
+        relocaliser : Relocaliser
+            With the same data set.
+
+        Returns
+        -------
+        Prepared
+
+        Raises
+        ------
+        EstimationError
+            When the front end fails, or no start is found.
+        InputError
+            When a log is in a wrong unit or order, or an image cannot be read.
+        """
+        measured = self._measured(dataset, relocaliser)
+        measured = replace(
+            measured,
+            frames=tuple(self._left_out(frame) for frame in measured.frames),
+            disbelieved={k: self._left_out(frame) for k, frame in measured.disbelieved.items()},
+        )
+        descent = Descent.of(dataset, self.initial)
+        if dataset.features is None and measured.limits is not None and measured.limits.points.count:
+            descent = replace(descent, features=self._tracks(dataset, measured, measured.limits))
+        read = measured.frames
+        lacking = dataset.measurements is not None and lack_map_errors(read, descent.catalog)
+        if lacking:
+            measured = replace(measured, frames=with_white_map_errors(read, descent.catalog))
+        try:
+            problems = measured.problems(descent)
+            # Where a wrong IMU led, the rims of its frames are those that were left out.
+            check_imu(measured.every.problems(descent), dataset.path)
+            check_logs(problems, dataset.path)
+            if lacking:
+                measured = replace(measured, frames=with_map_errors(read, problems))
+                problems = measured.problems(descent)
+        except NUMERICAL_ERRORS as error:
+            raise EstimationError(f"start: {one_sentence(error)}") from error
+        lowered = heights_of_points(problems)
+        if lowered:
+            descent = replace(descent, catalog=lowered_to_planes(descent.catalog))
+            problems = measured.problems(descent)
+        return Prepared(dataset, relocaliser, descent, measured, read, lacking, problems, lowered)
+
+    def _measured(self, dataset: Dataset, relocaliser: Relocaliser) -> Measured:
+        """Take the data set's measurements, or measure its images."""
+        if dataset.measurements is not None:
+            return Measured(dataset.measurements, (Segment(0, self.initial),))
+        front_end = GuidedFrontEnd(dataset.camera, dataset.catalog, self.options)
+        try:
+            descent = Descent.of(dataset, self.initial)
+            tracked = Tracker(dataset, descent, front_end, relocaliser, self.repeated).run(self.report)
+        except NUMERICAL_ERRORS as error:
+            hint = "the prediction has diverged: check the IMU's units and axes, and the initial state"
+            raise EstimationError(f"front end: {one_sentence(error)}; {hint}") from error
+        return Measured(
+            tracked.frames, tracked.segments, tracked.guides, front_end.options, tracked.disbelieved
+        )
+
+    def _left_out(self, frame: FrameMeasurement) -> FrameMeasurement:
+        """Take what is left out of a frame."""
+        for one in CAMERA_AND_IMU:
+            if one.name in self.without:
+                frame = one.left_out(frame)
+        return frame
+
+    def _tracks(self, dataset: Dataset, measured: Measured, limits: GuidedOptions) -> FeatureTracks:
+        """Track points through the images."""
+
+        def images() -> Iterator[ImageArray]:
+            for k in range(len(dataset)):
+                self.report("tracked points", k, len(dataset))
+                yield dataset.image(k)
+            self.report("tracked points", len(dataset), len(dataset))
+
+        guides = measured.guides
+        motion = None if guides is None else GroundMotion(guides, dataset.body.radius_m)
+        return track_points(images(), measured.frames, dataset.camera, limits.points, motion)
+
+
+def expected_rims(dataset: Dataset, gTb: FloatArray, limits: GuidedOptions | None) -> tuple[int, ...] | None:
+    """Count the catalogue craters that each frame should show.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    gTb : ndarray, shape (k, 4, 4)
+        Poses of the body in g, m.
+    limits : GuidedOptions or None
+        With which rims were searched.
+
+    Returns
+    -------
+    tuple of int, length k, or None
+        None when no rims were searched.
+    """
+    if limits is None:
+        return None
+    least_px, margin_px = limits.min_semi_minor_px, limits.margin_px
+    return tuple(
+        len(dataset.catalog.visible(dataset.camera, T, min_semi_minor_px=least_px, margin_px=margin_px)[0])
+        for T in gTb
+    )

@@ -1,0 +1,122 @@
+"""Catalogues that state no errors and have some: the rims tell how large they are, and are measured again."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators.base import NUMERICAL_ERRORS
+from craternav_fg.estimators.instruments import RIMS
+from craternav_fg.pipeline.detected_intrinsics import detected_intrinsics
+from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
+from craternav_fg.pipeline.map_errors import filtered_poses
+from craternav_fg.pipeline.measuring import Measuring, Prepared, expected_rims
+from craternav_fg.pipeline.rim_mistakes import likely_rim_mistake
+from craternav_fg.resection.map_variances import EstimatedErrors, estimated_errors
+from craternav_fg.vision.error_model.correlated import map_variances
+from factors.arrays import FloatArray
+
+# The first estimate is of rims that were found near an exact map. Those that are farther off are found with
+# twice these errors, and give the second estimate. It may grow further, as more rims are found.
+_WIDER, _MEASUREMENTS, _SETTLED = 2.0, 4, 1.2
+# Share of the expected rims that must be found then: chance finds fewer.
+_LEAST_FOUND = 1.0 / 3.0
+
+
+def with_unstated_errors(first: Prepared, measuring: Measuring) -> tuple[Prepared, EstimatedErrors | None]:
+    """Estimate the errors of a catalogue that states none, and measure its rims with them.
+
+    Parameters
+    ----------
+    first : Prepared
+        With the catalogue as exact.
+    measuring : Measuring
+
+    Returns
+    -------
+    prepared : Prepared
+        The same where the catalogue states errors, the rims do not contradict it, or another mistake explains
+        why they do.
+    errors : EstimatedErrors or None
+        What was assumed.
+
+    Raises
+    ------
+    EstimationError
+        When the front end fails, or no start is found.
+    InputError
+        When an image cannot be read.
+    """
+    catalog = first.dataset.catalog
+    stated = map_variances(np.arange(len(catalog)), catalog, measuring.options.correlated_errors)
+    if catalog.errors is not None or stated.any() or RIMS in measuring.without:
+        return first, None
+    near = _near(first)
+    errors = None if near is None else _estimated(first, near)
+    if near is None or errors is None or _explained(first, near):
+        return first, None
+    if first.dataset.measurements is not None:
+        return _again(first, measuring, errors), errors
+    found: EstimatedErrors | None = errors.scaled(_WIDER)
+    for measurement in range(_MEASUREMENTS):
+        if found is None or (measurement > 1 and not found.exceed(errors, _SETTLED)):
+            break
+        errors, final = found, _again(first, measuring, found)
+        found = _estimated(final, _near(final))
+    return (final, errors) if _confirmed(first, final) else (first, None)
+
+
+def _near(prepared: Prepared) -> FloatArray | None:
+    """Poses (k, 4, 4) near those of the frames; None where the filter finds none."""
+    measured = prepared.measured
+    if measured.guides is not None:
+        return measured.guides
+    try:
+        poses = filtered_poses(prepared.problems)
+    except (EstimationError, *NUMERICAL_ERRORS):
+        return None
+    return np.array([poses[frame.stamp_ns] for frame in measured.frames])
+
+
+def _estimated(prepared: Prepared, near: FloatArray | None) -> EstimatedErrors | None:
+    descent = prepared.problems[0]
+    if near is None:
+        return None
+    try:
+        return estimated_errors(prepared.without_map_errors(), near, descent.camera, descent.catalog)
+    except NUMERICAL_ERRORS:
+        return None
+
+
+def _explained(prepared: Prepared, near: FloatArray) -> bool:
+    """Whether the camera, or a mistake in the tables of rims and craters, explains why rims do not agree."""
+    descent, measured = prepared.problems[0], prepared.measured
+    if any(
+        check(measured.frames, near, descent.camera, descent.catalog)
+        for check in (contradicted_intrinsics, contradicted_lens)
+    ):
+        return True
+    if measured.guides is None:
+        return bool(likely_rim_mistake(descent))
+    expected = expected_rims(prepared.dataset, near, measured.limits)
+    of_detected = detected_intrinsics(prepared.dataset, prepared.relocaliser, measured.frames, expected, near)
+    return of_detected is not None and (of_detected.focal_is_off or of_detected.principal_point_is_off)
+
+
+def _again(first: Prepared, measuring: Measuring, errors: EstimatedErrors, factor: float = 1.0) -> Prepared:
+    """Measure with errors of the map."""
+    catalog = first.dataset.catalog
+    dataset = replace(first.dataset, catalog=replace(catalog, errors=errors.of(catalog)))
+
+    def report(what: str, done: int, total: int) -> None:
+        measuring.report(f"{what} again, with the map's errors", done, total)
+
+    return replace(measuring, report=report).prepared(dataset, first.relocaliser.sharing_index(dataset))
+
+
+def _confirmed(first: Prepared, final: Prepared) -> bool:
+    """Whether more rims are found with errors of the map, and more than chance finds."""
+    before, after = (sum(len(f.rims) for f in one.measured.frames) for one in (first, final))
+    guides, limits = final.measured.guides, final.measured.limits
+    expected = None if guides is None else expected_rims(final.dataset, guides, limits)
+    return after >= before and (expected is None or after >= _LEAST_FOUND * sum(expected))
