@@ -12,13 +12,15 @@ Hartley, Rao, Biometrika 54 (1967) 93, DOI 10.1093/biomet/54.1-2.93: its iterati
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.linalg import squared_distance
+from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement, RimSet
 from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.kernels.conic import chart_jacobian
 from factors.kernels.gauss_newton import move
@@ -27,16 +29,17 @@ from factors.kernels.rim_errors import ground_slopes
 # Fewer rims leave little redundancy. Frames, evenly spaced, that are asked at most.
 _MIN_RIMS, _FRAMES = 3, 60
 # Standard deviations at which the search begins: places in px, and as shares of the radius; sizes as shares;
-# heights in px; and the share by which the variances of the measurement are larger.
-_START = np.array([0.5, 0.01, 0.01, 0.5, 0.1])
-_NOISE = np.array([False, False, False, False, True])
+# heights like places; and the root of the share by which the variances of the measurement are larger.
+_START = np.array([0.5, 0.01, 0.01, 0.5, 0.01, 0.1])
+_IN_PX = np.array([True, False, False, True, False, False])
+_NOISE = np.array([False, False, False, False, False, True])
 # Iterations: of the variances, between linearisations, and of a pose.
-_ITERATIONS, _LINEARISATIONS, _POSE_STEPS = 12, 4, 6
+_ITERATIONS, _LINEARISATIONS, _FIRST_POSE_STEPS, _POSE_STEPS = 12, 4, 6, 2
 # A rim whose residual is so many times the median of all is a wrong match or a gross error.
 _OUTLIER = 10.0
-# Gain of the log likelihood over larger errors of the measurement, counting each crater once, that a map with
-# errors must bring. Rims over an exact map bring up to 2 on ground of another renderer (`tests/foreign`),
-# sizes that are off by 1 % 14, places by an eighth of a pixel 40.
+# Gain of the log likelihood over larger errors of the measurement that a map with errors must bring. Rims
+# over an exact map bring up to 2 on ground of another renderer (`tests/foreign`); sizes that are off by 1 %
+# bring 14, places by an eighth of a pixel 40.
 _LEAST_GAIN = 8.0
 # Standard deviations below these are not told.
 _NEGLIGIBLE_M, _NEGLIGIBLE_SHARE = 0.05, 5e-4
@@ -46,7 +49,7 @@ _LARGEST_PLACE = 0.3
 
 @dataclass(frozen=True)
 class EstimatedErrors:
-    """Standard deviations of a map: constant ones, and one part of the places that grows with the radius.
+    """Standard deviations of a map: those of places and heights are constant in part, in part they grow.
 
     Attributes
     ----------
@@ -54,14 +57,15 @@ class EstimatedErrors:
         Of a rim's centre, per axis along the ground: m, and share of the radius; both together.
     size_share : float
         Of each semi-axis, as a share of itself.
-    height_m : float
-        Of the height of a rim's plane, m.
+    height_m, height_share : float
+        Of the height of a rim's plane, likewise: an elevation model smooths small and large rims.
     """
 
     place_m: float
     place_share: float
     size_share: float
     height_m: float
+    height_share: float
 
     def of(self, catalog: Catalog) -> MapErrors:
         """Return the errors of all craters of a catalogue.
@@ -74,9 +78,10 @@ class EstimatedErrors:
         -------
         MapErrors
         """
-        one = np.ones(len(catalog))
-        place_m = np.hypot(self.place_m, self.place_share * _radii_m(catalog))
-        return MapErrors(place_m, self.size_share * one, self.height_m * one)
+        radius_m = _radii_m(catalog)
+        place_m = np.hypot(self.place_m, self.place_share * radius_m)
+        height_m = np.hypot(self.height_m, self.height_share * radius_m)
+        return MapErrors(place_m, np.full(len(catalog), self.size_share), height_m)
 
     def scaled(self, factor: float) -> "EstimatedErrors":
         """Multiply all standard deviations by a factor.
@@ -99,24 +104,35 @@ class EstimatedErrors:
         -------
         bool
         """
-        least = (_NEGLIGIBLE_M, _NEGLIGIBLE_SHARE, _NEGLIGIBLE_SHARE, _NEGLIGIBLE_M)
         return any(
-            getattr(self, one.name) > factor * max(getattr(others, one.name), negligible)
-            for one, negligible in zip(fields(self), least, strict=True)
+            getattr(self, one.name) > factor * max(getattr(others, one.name), _negligible(one.name))
+            for one in fields(self)
         )
 
     @property
     def words(self) -> str:
         """The standard deviations that are not negligible, in words."""
-        place = [f"{self.place_m:.2g} m"] if self.place_m > _NEGLIGIBLE_M else []
-        if self.place_share > _NEGLIGIBLE_SHARE:
-            place.append(f"{100.0 * self.place_share:.2g} % of the radius")
-        told = [f"places {' and '.join(place)} per axis"] if place else []
-        if self.size_share > _NEGLIGIBLE_SHARE:
-            told.append(f"semi-axes {100.0 * self.size_share:.2g} %")
-        if self.height_m > _NEGLIGIBLE_M:
-            told.append(f"heights {self.height_m:.2g} m")
+        told = []
+        for what, names, after in (
+            ("places", ("place_m", "place_share"), " per axis"),
+            ("semi-axes", ("size_share",), ""),
+            ("heights", ("height_m", "height_share"), ""),
+        ):
+            sizes = [(name, getattr(self, name)) for name in names]
+            parts = [_in_words(name, size) for name, size in sizes if size > _negligible(name)]
+            if parts:
+                told.append(f"{what} {' and '.join(parts)}{after}")
         return ", ".join(told)
+
+
+def _negligible(name: str) -> float:
+    return _NEGLIGIBLE_M if name.endswith("_m") else _NEGLIGIBLE_SHARE
+
+
+def _in_words(name: str, sigma: float) -> str:
+    if name.endswith("_m"):
+        return f"{sigma:.2g} m" if sigma < 99.5 else f"{sigma:.0f} m"
+    return f"{100.0 * sigma:.2g} %" + ("" if name == "size_share" else " of the radius")
 
 
 def estimated_errors(
@@ -140,205 +156,219 @@ def estimated_errors(
         None where the rims do not contradict an exact map, or larger errors of the measurement explain them
         as well.
     """
-    seen = [(f.rims, T) for f, T in zip(frames, gTb, strict=True) if len(f.rims) >= _MIN_RIMS]
-    seen = seen[:: 1 + len(seen) // _FRAMES]
-    if not seen:
+    seen = [f.rims for f in frames if len(f.rims) >= _MIN_RIMS]
+    poses = [T for f, T in zip(frames, gTb, strict=True) if len(f.rims) >= _MIN_RIMS]
+    step = 1 + len(seen) // _FRAMES
+    images = _Images(seen[::step], [np.array(T, order="C") for T in poses[::step]], camera, catalog)
+    exact = np.zeros(6)
+    rims = images.linearised(exact, _FIRST_POSE_STEPS)
+    if rims is None or not (_rises(rims, exact) & ~_NOISE).any():
         return None
-    exact = np.zeros(5)
-    rims = _linearised(seen, camera, catalog, exact)
-    if not rims or not (_rises(rims, exact) & ~_NOISE).any():
-        return None
-    start = _start(seen, camera, catalog)
+    start = images.start()
     variances = exact
     for _ in range(_LINEARISATIONS):
         # All errors are taken to be the map's: a part for the noise would take those of wrong edges.
         variances = _likeliest(rims, variances if variances.any() else np.where(_NOISE, 0.0, start))
-        rims = _linearised(seen, camera, catalog, variances)
-        if not rims:
+        rims = images.linearised(variances, _POSE_STEPS)
+        if rims is None:
             return None
     both, noise = (_likeliest(rims, one) for one in (variances + _NOISE * start, _NOISE * start))
-    craters = np.concatenate([one.craters for one in rims])
-    gain = (_log_likelihood(rims, both) - _log_likelihood(rims, noise)) / len(craters)
-    if gain * len(np.unique(craters)) < _LEAST_GAIN:
+    gain = rims.weighted(both).log_likelihood - rims.weighted(noise).log_likelihood
+    if any(one.correlated is not None for one in images.rims):
+        # What a crater keeps is the same in all frames: they count once.
+        gain *= len(np.unique(rims.craters)) / len(rims.craters)
+    if gain < _LEAST_GAIN:
         return None
     found = EstimatedErrors(*np.sqrt(variances[~_NOISE]).tolist())
-    in_radii = found.of(catalog).place_m[craters] / _radii_m(catalog)[craters]
+    in_radii = found.of(catalog).place_m[rims.craters] / _radii_m(catalog)[rims.craters]
     return found if np.median(in_radii) <= _LARGEST_PLACE else None
+
+
+class _Weighted(NamedTuple):
+    """Rims with their poses projected out: weighted residuals (n, 5), weights of each rim (n, 5, 5)."""
+
+    residual: FloatArray
+    weights: FloatArray
+    log_likelihood: float
 
 
 @dataclass(frozen=True)
 class _Rims:
-    """Rims of an image, linearised in its pose.
+    """Rims of all images, those of an image together, linearised in its pose.
 
     Attributes
     ----------
     craters : ndarray of int, shape (n,)
-    residual : ndarray, shape (5 n,)
+    first : ndarray of int, shape (k,)
+        Where the rims of each image begin.
+    residual : ndarray, shape (n, 5)
         Measured minus predicted.
-    slopes : ndarray, shape (5 n, 6)
-        Derivatives in the pose.
-    covariance : ndarray, shape (5 n, 5 n)
-        Of the measurement alone.
+    slopes : ndarray, shape (n, 5, 14)
+        Derivatives in what all rims of an image have in common: errors of unit variance (`RimSet.shared`),
+        then the pose.
+    covariance : ndarray, shape (n, 5, 5)
+        Of each measurement alone.
     roots : tuple of ndarray, shapes (n, 5, m)
         By component, the derivatives in errors of unit standard deviation.
     """
 
     craters: IntArray
+    first: IntArray
     residual: FloatArray
     slopes: FloatArray
     covariance: FloatArray
     roots: tuple[FloatArray, ...]
 
+    @classmethod
+    def joined(cls, parts: "Sequence[_Rims]") -> "_Rims":
+        """Join images."""
+        first = np.cumsum([0, *(len(one.craters) for one in parts[:-1])])
+        names = ("craters", "residual", "slopes", "covariance")
+        craters, residual, slopes, covariance = (
+            np.concatenate([getattr(one, name) for one in parts]) for name in names
+        )
+        roots = tuple(np.concatenate(every) for every in zip(*(one.roots for one in parts), strict=True))
+        return cls(craters, first, residual, slopes, covariance, roots)
+
     def total(self, variances: FloatArray) -> FloatArray:
-        """Covariance with the errors of the map."""
+        """Covariances (n, 5, 5) with the errors of the map, but without what rims have in common."""
         out = self.covariance.copy()
-        blocks = _blocks(out)
         for variance, root in zip(variances, self.roots, strict=True):
-            blocks += variance * (root @ np.swapaxes(root, 1, 2))
-        _blocks(out, blocks)
+            out += variance * (root @ np.swapaxes(root, 1, 2))
         return out
 
-    def projected(self, variances: FloatArray) -> tuple[FloatArray, float]:
-        """Weights (5 n, 5 n) that are left once the pose is estimated, and the log determinants with them."""
+    def distances(self, variances: FloatArray) -> FloatArray:
+        """Mahalanobis distances (n,) of the residuals."""
+        return np.sqrt(squared_distance(self.residual, self.total(variances)))
+
+    def weighted(self, variances: FloatArray) -> _Weighted:
+        """Project the poses out."""
         V = self.total(variances)
         W = np.linalg.inv(V)
-        scale = np.sqrt(np.einsum("ij,ij->j", self.slopes, W @ self.slopes))
-        X = self.slopes / scale
-        WX = W @ X
-        N = X.T @ WX
-        P = W - WX @ np.linalg.solve(N, WX.T)
-        logs = np.linalg.slogdet(V)[1] + np.linalg.slogdet(N)[1] + 2.0 * np.sum(np.log(scale))
-        return P, float(logs)
-
-    def take(self, kept: BoolArray) -> "_Rims":
-        """Select rims, with a mask (n,)."""
-        rows = np.repeat(kept, 5)
-        return _Rims(
-            self.craters[kept],
-            self.residual[rows],
-            self.slopes[rows],
-            self.covariance[np.ix_(rows, rows)],
-            tuple(root[kept] for root in self.roots),
+        WZ = W @ self.slopes
+        N = np.add.reduceat(np.swapaxes(self.slopes, 1, 2) @ WZ, self.first)
+        N[:, range(SHARED_SIZE), range(SHARED_SIZE)] += 1.0
+        scale = np.sqrt(np.diagonal(N, axis1=1, axis2=2))
+        unscaled = np.linalg.inv(N / (scale[:, :, None] * scale[:, None, :]))
+        inverse = unscaled / (scale[:, :, None] * scale[:, None, :])
+        counts = np.diff([*self.first, len(self.craters)])
+        image = np.repeat(np.arange(len(self.first)), counts)
+        b = np.add.reduceat(np.einsum("nik,ni->nk", WZ, self.residual), self.first)
+        common = np.einsum("fkl,fl->fk", inverse, b)[image]
+        residual = np.einsum("nij,nj->ni", W, self.residual) - np.einsum("nik,nk->ni", WZ, common)
+        weights = W - WZ @ inverse[image] @ np.swapaxes(WZ, 1, 2)
+        logs = (
+            np.linalg.slogdet(V)[1].sum() - np.linalg.slogdet(unscaled)[1].sum() + 2.0 * np.log(scale).sum()
         )
+        return _Weighted(residual, weights, -0.5 * float(np.sum(residual * self.residual) + logs))
 
 
-def _blocks(matrix: FloatArray, values: FloatArray | None = None) -> FloatArray:
-    """Copy of the diagonal blocks (n, 5, 5) of a matrix; set before if values are given."""
-    n = len(matrix) // 5
-    each = np.arange(n)
-    blocks = matrix.reshape(n, 5, n, 5)
-    if values is not None:
-        blocks[each, :, each, :] = values
-    return np.asarray(blocks[each, :, each, :])
+@dataclass(frozen=True)
+class _Images:
+    """Images and the poses of the body near them, which are corrected in place."""
+
+    rims: Sequence[RimSet]
+    poses: Sequence[FloatArray]
+    camera: Camera
+    catalog: Catalog
+
+    def start(self) -> FloatArray:
+        """Variances (6,) at which the search begins."""
+        ranges_m = [
+            np.linalg.norm(self.catalog.centres[rims.craters] - T[:3, 3], axis=1)
+            for rims, T in zip(self.rims, self.poses, strict=True)
+        ]
+        px_m = float(np.median(np.concatenate(ranges_m))) / self.camera.focal_px
+        return np.asarray((_START * np.where(_IN_PX, px_m, 1.0)) ** 2)
+
+    def linearised(self, variances: FloatArray, steps: int) -> _Rims | None:
+        """Linearise at the poses that the rims give, without outliers; None where none are left."""
+        every = [
+            self._at_own_pose(rims, T, variances, steps)
+            for rims, T in zip(self.rims, self.poses, strict=True)
+        ]
+        found = [one for one in every if one is not None]
+        if not found:
+            return None
+        away = [one.distances(variances) for one in found]
+        limit = _OUTLIER * float(np.median(np.concatenate(away)))
+        kept = [_taken(one, d <= limit) for one, d in zip(found, away, strict=True)]
+        enough = [one for one in kept if len(one.craters) >= _MIN_RIMS]
+        return _Rims.joined(enough) if enough else None
+
+    def _at_own_pose(self, rims: RimSet, gTb: FloatArray, variances: FloatArray, steps: int) -> _Rims | None:
+        """Linearise an image at the pose that most of its rims give; None where they give none."""
+        for _ in range(steps):
+            at = self._at(rims, gTb)
+            if at is None:
+                return None
+            # Least absolute distances: a wrong match does not decide.
+            weights = np.sqrt(1.0 / np.maximum(at.distances(variances), 1.0))[:, None, None]
+            W = weights * np.linalg.inv(np.linalg.cholesky(at.total(variances)))
+            A = (W @ at.slopes[:, :, SHARED_SIZE:]).reshape(-1, 6)
+            b = (W @ at.residual[:, :, None]).ravel()
+            scale = np.linalg.norm(A, axis=0)
+            move(gTb, np.linalg.lstsq(A / scale, b, rcond=None)[0] / scale)
+        return self._at(rims, gTb)
+
+    def _at(self, rims: RimSet, gTb: FloatArray) -> _Rims | None:
+        """Linearise the rims that a pose sees; None where they are too few."""
+        catalog, bTc = self.catalog, self.camera.bTc
+        centres, axes = catalog.centres[rims.craters], catalog.axes[rims.craters]
+        charts, jacobians, visible = chart_jacobian(gTb, bTc, centres, axes)
+        if visible.sum() < _MIN_RIMS:
+            return None
+        ground = ground_slopes(gTb, bTc, centres, axes)
+        radius_m = _radii_m(catalog)[rims.craters][:, None, None]
+        shared = np.zeros((len(rims), 5, SHARED_SIZE)) if rims.shared is None else rims.shared
+        covariance = rims.covariance - shared @ np.swapaxes(shared, 1, 2)
+        place, size = ground[:, :, :2], ground[:, :, 3:] * np.array([1.0, np.sqrt(0.5), 1.0])
+        height = ground[:, :, 2:3]
+        noise = np.asarray(np.linalg.cholesky(rims.covariance), float)
+        at = _Rims(
+            rims.craters,
+            np.zeros(1, dtype=np.int64),
+            rims.chart - charts,
+            np.concatenate([shared, jacobians], axis=2),
+            covariance,
+            (place / radius_m, place, size, height / radius_m, height, noise),
+        )
+        return at if visible.all() else _taken(at, visible)
+
+
+def _taken(rims: _Rims, kept: BoolArray) -> _Rims:
+    """Select rims of one image, with a mask (n,)."""
+    return _Rims(
+        rims.craters[kept],
+        rims.first,
+        rims.residual[kept],
+        rims.slopes[kept],
+        rims.covariance[kept],
+        tuple(root[kept] for root in rims.roots),
+    )
 
 
 def _radii_m(catalog: Catalog) -> FloatArray:
     return np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
 
 
-def _start(seen: Sequence[tuple[RimSet, FloatArray]], camera: Camera, catalog: Catalog) -> FloatArray:
-    """Variances (5,) at which the search begins."""
-    ranges_m = [np.linalg.norm(catalog.centres[rims.craters] - T[:3, 3], axis=1) for rims, T in seen]
-    px_m = float(np.median(np.concatenate(ranges_m))) / camera.focal_px
-    return np.asarray((_START * np.array([px_m, 1.0, 1.0, px_m, 1.0])) ** 2)
-
-
-def _linearised(
-    seen: Sequence[tuple[RimSet, FloatArray]], camera: Camera, catalog: Catalog, variances: FloatArray
-) -> list[_Rims]:
-    """Linearise frames at the poses that their rims give, without outliers."""
-    every = [_at_own_pose(rims, T, camera, catalog, variances) for rims, T in seen]
-    found = [one for one in every if one is not None]
-    away = [_distances(one, variances) for one in found]
-    limit = _OUTLIER * float(np.median(np.concatenate(away))) if found else 0.0
-    kept = [one.take(d <= limit) for one, d in zip(found, away, strict=True)]
-    return [one for one in kept if len(one.craters) >= _MIN_RIMS]
-
-
-def _distances(rims: _Rims, variances: FloatArray) -> FloatArray:
-    """Mahalanobis distances (n,) of the rims' residuals."""
-    own = _blocks(rims.total(variances))
-    r = rims.residual.reshape(-1, 5)
-    return np.sqrt(np.einsum("ni,ni->n", r, np.linalg.solve(own, r[:, :, None])[:, :, 0]))
-
-
-def _at_own_pose(
-    rims: RimSet, gTb: FloatArray, camera: Camera, catalog: Catalog, variances: FloatArray
-) -> _Rims | None:
-    """Linearise a frame at the pose that most of its rims give; None where they give none."""
-    gTb = np.array(gTb, order="C")
-    for _ in range(_POSE_STEPS):
-        at = _at(rims, gTb, camera, catalog)
-        if at is None:
-            return None
-        # Least absolute distances: a wrong match does not decide.
-        weights = 1.0 / np.maximum(_distances(at, variances), 1.0)
-        L = np.linalg.cholesky(_blocks(at.total(variances)))
-        A = np.linalg.solve(L, at.slopes.reshape(-1, 5, 6)) * np.sqrt(weights)[:, None, None]
-        b = np.linalg.solve(L, at.residual.reshape(-1, 5, 1)) * np.sqrt(weights)[:, None, None]
-        A = A.reshape(-1, 6)
-        scale = np.linalg.norm(A, axis=0)
-        move(gTb, np.linalg.lstsq(A / scale, b.ravel(), rcond=None)[0] / scale)
-    return _at(rims, gTb, camera, catalog)
-
-
-def _at(rims: RimSet, gTb: FloatArray, camera: Camera, catalog: Catalog) -> _Rims | None:
-    """Linearise the rims that a pose sees; None where they are too few."""
-    rows = rims.craters
-    charts, jacobians, visible = chart_jacobian(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
-    if visible.sum() < _MIN_RIMS:
-        return None
-    rims, rows, charts, jacobians = rims.take(visible), rows[visible], charts[visible], jacobians[visible]
-    ground = ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
-    radius_m = _radii_m(catalog)[rows][:, None, None]
-    covariance = np.zeros((5 * len(rows), 5 * len(rows)))
-    own = rims.covariance
-    if rims.shared is not None:
-        own = own - rims.shared @ np.swapaxes(rims.shared, 1, 2)
-        together = rims.shared.reshape(len(covariance), -1)
-        covariance = together @ together.T
-    _blocks(covariance, _blocks(covariance) + own)
-    place, size = ground[:, :, :2], ground[:, :, 3:] * np.array([1.0, np.sqrt(0.5), 1.0])
-    noise = np.asarray(np.linalg.cholesky(rims.covariance), float)
-    return _Rims(
-        rows,
-        (rims.chart - charts).ravel(),
-        jacobians.reshape(-1, 6),
-        covariance,
-        (place / radius_m, place, size, ground[:, :, 2:3] / radius_m, noise),
-    )
-
-
-def _likeliest(frames: Sequence[_Rims], variances: FloatArray) -> FloatArray:
-    """Variances (5,) at which the residuals are likeliest; those that are zero stay so."""
+def _likeliest(rims: _Rims, variances: FloatArray) -> FloatArray:
+    """Variances (6,) at which the residuals are likeliest; those that are zero stay so."""
     for _ in range(_ITERATIONS):
-        found, expected = _moments(frames, variances)
+        found, expected = _moments(rims, variances)
         variances = variances * found / expected
     return variances
 
 
-def _rises(frames: Sequence[_Rims], variances: FloatArray) -> BoolArray:
-    """Whether (5,) the likelihood rises with each variance."""
-    found, expected = _moments(frames, variances)
+def _rises(rims: _Rims, variances: FloatArray) -> BoolArray:
+    """Whether (6,) the likelihood rises with each variance."""
+    found, expected = _moments(rims, variances)
     return found > expected
 
 
-def _moments(frames: Sequence[_Rims], variances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Squares of the weighted residuals along each component, and what is expected of them, (5,) each."""
-    found, expected = np.zeros(5), np.zeros(5)
-    for frame in frames:
-        P, _ = frame.projected(variances)
-        Pr, own = (P @ frame.residual).reshape(-1, 5, 1), _blocks(P)
-        for k, root in enumerate(frame.roots):
-            found[k] += np.sum((np.swapaxes(root, 1, 2) @ Pr) ** 2)
-            expected[k] += np.sum(root * (own @ root))
-    return found, expected
-
-
-def _log_likelihood(frames: Sequence[_Rims], variances: FloatArray) -> float:
-    """Restricted log likelihood of the residuals, but for a constant."""
-    total = 0.0
-    for frame in frames:
-        P, logs = frame.projected(variances)
-        total -= 0.5 * (float(frame.residual @ P @ frame.residual) + logs)
-    return total
+def _moments(rims: _Rims, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Squares of the weighted residuals along each component, and what is expected of them, (6,) each."""
+    seen = rims.weighted(variances)
+    found = [np.sum(np.einsum("nim,ni->nm", root, seen.residual) ** 2) for root in rims.roots]
+    expected = [np.sum(root * (seen.weights @ root)) for root in rims.roots]
+    return np.array(found), np.array(expected)

@@ -12,6 +12,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.measurements import RimSet, SunTilt
+from craternav_fg.pipeline import measuring
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.pipeline.tracking import Segment, shared_error
 from craternav_fg.simulation.scenario import simulate
@@ -142,13 +143,13 @@ def test_what_is_left_out_is_left_out_of_disbelieved_frames_too(
     assert data.initial is not None
     every = data.measurements
     nothing = dataclasses.replace(every[1], rims=RimSet.empty())
-    measured = module._Measured(
+    measured = measuring.Measured(
         (every[0], nothing, *every[2:]), (Segment(0, data.initial),), disbelieved={1: every[1]}
     )
-    monkeypatch.setattr(module, "_measure", lambda *_: measured)
+    monkeypatch.setattr(measuring.Measuring, "_measured", lambda *_: measured)
     seen: list[int] = []
     monkeypatch.setattr(
-        module, "check_imu", lambda problems, _: seen.extend(len(f.rims) for f in problems[0].frames)
+        measuring, "check_imu", lambda problems, _: seen.extend(len(f.rims) for f in problems[0].frames)
     )
     reconstruct(data, ["dead_reckoning"], without=["rims"])
     assert seen == [0] * len(every)

@@ -16,7 +16,7 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.pipeline import input_warnings
 from craternav_fg.pipeline.initial_state import find_initial
-from craternav_fg.pipeline.reconstruct import _Measured, _problems
+from craternav_fg.pipeline.measuring import Measured
 from craternav_fg.pipeline.relocalisation import PoseFix
 from craternav_fg.pipeline.repeated_images import repeated_images
 from craternav_fg.pipeline.sensor_checks import check_imu
@@ -240,10 +240,10 @@ def test_frames_that_were_left_out_tell_the_unit_of_the_imu(data: Dataset) -> No
         dataclasses.replace(one, rims=RimSet.empty(), sun=None) if k in left_out else one
         for k, one in enumerate(data.measurements)
     )
-    measured = _Measured(kept, (Segment(0, descent.initial),), disbelieved=left_out)
-    check_imu(_problems(descent, measured), Path("data"))
+    measured = Measured(kept, (Segment(0, descent.initial),), disbelieved=left_out)
+    check_imu(measured.problems(descent), Path("data"))
     with pytest.raises(InputError, match="w_RS_S_x: expected rad/s, found deg/s"):
-        check_imu(_problems(descent, measured.every), Path("data"))
+        check_imu(measured.every.problems(descent), Path("data"))
 
 
 def test_wrong_images_are_named() -> None:

@@ -1,0 +1,153 @@
+"""A catalogue that states no errors and has some: the rims tell, unless something else explains them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from craternav_fg.catalogs.map_errors import MapErrors
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.dataset import Dataset
+from craternav_fg.estimators.instruments import RIMS
+from craternav_fg.evaluation.metrics import metrics
+from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.resection.map_variances import EstimatedErrors, estimated_errors
+from craternav_fg.simulation.scenario import simulate
+from craternav_fg.simulation.scenario_file import load_scenario
+
+PLACE_M, SIZE_SHARE, HEIGHT_M = 20.0, 0.01, 30.0
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """A descent with measured rims over an exact catalogue."""
+    return Dataset.open(simulate(load_scenario("measured_descent"), tmp_path_factory.mktemp("many") / "d"))
+
+
+def moved(true: Catalog, place_m: float = 0.0, size_share: float = 0.0, height_m: float = 0.0) -> Catalog:
+    """Errors in all craters of a catalogue that states none."""
+    rng, n = np.random.default_rng(3), len(true)
+    north, east = place_m / true.body.radius_m * rng.normal(size=(2, n))
+    return replace(
+        true,
+        latitude_rad=true.latitude_rad + north,
+        longitude_rad=true.longitude_rad + east / np.cos(true.latitude_rad),
+        semi_major_m=true.semi_major_m * (1.0 + size_share * rng.normal(size=n)),
+        semi_minor_m=true.semi_minor_m * (1.0 + size_share * rng.normal(size=n)),
+        height_m=true.height_m + height_m * rng.normal(size=n),
+        errors=None,
+    )
+
+
+def estimated(data: Dataset, catalog: Catalog) -> EstimatedErrors | None:
+    assert data.measurements is not None
+    assert data.truth is not None
+    rows = np.searchsorted(data.truth.stamps_ns, [frame.stamp_ns for frame in data.measurements])
+    return estimated_errors(data.measurements, data.truth.gTb[rows], data.camera, catalog)
+
+
+@pytest.mark.parametrize(
+    ("name", "size"), [("place_m", PLACE_M), ("size_share", SIZE_SHARE), ("height_m", HEIGHT_M)]
+)
+def test_each_kind_of_error_is_told_from_the_others(data: Dataset, name: str, size: float) -> None:
+    found = estimated(data, moved(data.catalog, **{name: size}))
+    assert found is not None
+    errors = found.of(data.catalog)
+    for other, full in (("place_m", PLACE_M), ("size_share", SIZE_SHARE), ("height_m", HEIGHT_M)):
+        median = float(np.median(getattr(errors, other)))
+        assert (median == pytest.approx(size, rel=0.35)) if other == name else (median < 0.2 * full)
+
+
+def test_poses_from_elsewhere_lead_to_the_same(data: Dataset) -> None:
+    """Each image has a pose of its own: what led to the one nearby does not matter."""
+    assert data.measurements is not None
+    assert data.truth is not None
+    catalog = moved(data.catalog, PLACE_M)
+    rows = np.searchsorted(data.truth.stamps_ns, [frame.stamp_ns for frame in data.measurements])
+    off = data.truth.gTb[rows].copy()
+    off[:, :3, 3] += [300.0, -200.0, 400.0]
+    found, near = estimated_errors(data.measurements, off, data.camera, catalog), estimated(data, catalog)
+    assert found is not None
+    assert near is not None
+    for one in ("place_m", "size_share", "height_m"):
+        expected = np.median(getattr(near.of(catalog), one))
+        assert np.median(getattr(found.of(catalog), one)) == pytest.approx(expected, rel=0.02, abs=0.02)
+
+
+def test_an_exact_map_and_noise_that_is_stated_too_small_are_no_errors_of_the_map(data: Dataset) -> None:
+    assert estimated(data, replace(data.catalog, errors=None)) is None
+    assert data.measurements is not None
+    halved = tuple(
+        replace(one, rims=replace(one.rims, covariance=0.25 * one.rims.covariance))
+        for one in data.measurements
+    )
+    assert estimated(replace(data, measurements=halved), replace(data.catalog, errors=None)) is None
+
+
+def test_wrong_matches_are_no_errors_of_the_map(data: Dataset) -> None:
+    """A third of the rims are those of other craters."""
+    assert data.measurements is not None
+    rng = np.random.default_rng(5)
+    frames = []
+    for one in data.measurements:
+        charts, wrong = one.rims.chart.copy(), np.flatnonzero(rng.random(len(one.rims)) < 0.33)
+        charts[wrong, :2] = rng.uniform(-0.3, 0.3, size=(len(wrong), 2))
+        frames.append(replace(one, rims=replace(one.rims, chart=charts)))
+    found = estimated(replace(data, measurements=tuple(frames)), replace(data.catalog, errors=None))
+    # No more than a hundredth of what a wrong match is off by.
+    assert found is None or found.place_m < 20.0
+
+
+def test_few_rims_tell_nothing(data: Dataset) -> None:
+    assert data.measurements is not None
+    few = tuple(
+        replace(one, rims=one.rims.take(np.arange(min(2, len(one.rims))))) for one in data.measurements
+    )
+    assert estimated(replace(data, measurements=few), moved(data.catalog, PLACE_M)) is None
+
+
+def test_covariances_hold_the_errors_that_the_rims_show(data: Dataset) -> None:
+    """Taken as exact, this map gave an ANEES of hundreds and more."""
+    wrong = replace(data, catalog=moved(data.catalog, PLACE_M, SIZE_SHARE, HEIGHT_M))
+    run = reconstruct(wrong, ["smoother", "online", "ekf"])
+    assert run.map_errors is not None
+    (text,) = (one for one in run.warnings if "contradict it at every pose" in one)
+    assert run.map_errors.words in text
+    assert data.truth is not None
+    for name, trajectory in run.trajectories.items():
+        found = metrics(trajectory, data.truth)
+        assert found.anees is not None, name
+        assert found.anees < 15.0, name
+
+
+def test_the_estimate_does_not_depend_on_the_estimators(data: Dataset) -> None:
+    wrong = replace(data, catalog=moved(data.catalog, PLACE_M))
+    runs = [reconstruct(wrong, [name]).map_errors for name in ("ekf", "dead_reckoning")]
+    assert runs[0] == runs[1]
+    assert runs[0] is not None
+
+
+def test_what_is_stated_or_explained_otherwise_is_left_alone(data: Dataset) -> None:
+    n = len(data.catalog)
+    stated = replace(moved(data.catalog, PLACE_M), errors=MapErrors(*np.full((3, n), 1.0)))
+    assert reconstruct(replace(data, catalog=stated), ["ekf"]).map_errors is None
+    assert reconstruct(data, ["ekf"]).map_errors is None
+    unseen = replace(data, catalog=moved(data.catalog, PLACE_M))
+    assert reconstruct(unseen, ["dead_reckoning"], without=[RIMS]).map_errors is None
+    assert data.measurements is not None
+    doubled = tuple(
+        replace(one, rims=replace(one.rims, chart=one.rims.chart + np.log(2.0) * np.array([0, 0, 1, 0, 1])))
+        for one in data.measurements
+    )
+    run = reconstruct(replace(data, measurements=doubled), ["ekf"])
+    assert run.map_errors is None
+    assert any("diameters for semi-axes" in text for text in run.warnings)
+
+
+def test_words() -> None:
+    errors = EstimatedErrors(123.4, 0.02, 0.0, 4.0, 0.003)
+    assert errors.words == "places 123 m and 2 % of the radius per axis, heights 4 m and 0.3 % of the radius"
+    assert EstimatedErrors(0.0, 0.0, 0.011, 0.0, 0.0).words == "semi-axes 1.1 %"
+    assert errors.scaled(2.0).exceed(errors, 1.9)
+    assert not errors.exceed(errors, 1.01)
+    assert not EstimatedErrors(0.01, *[0.0] * 4).exceed(EstimatedErrors(1e-9, *[0.0] * 4), 1.1)
