@@ -19,8 +19,9 @@ from factors.arrays import FloatArray
 # The first estimate is of rims that were found near an exact map. Those that are farther off are found with
 # twice these errors, and give the second estimate. It may grow further, as more rims are found.
 _WIDER, _MEASUREMENTS, _SETTLED = 2.0, 4, 1.2
-# Share of the expected rims that must be found then: chance finds fewer.
-_LEAST_FOUND = 1.0 / 3.0
+# Share of the frames that should show so many craters in which so many must be found: chance finds them in
+# few, and in more if it is searched farther around. Share of the frames with rims that must have some then.
+_CRATERS, _LEAST_FOUND, _LEAST_KEPT = 3, 1.0 / 3.0, 0.75
 
 
 def with_unstated_errors(first: Prepared, measuring: Measuring) -> tuple[Prepared, EstimatedErrors | None]:
@@ -52,7 +53,7 @@ def with_unstated_errors(first: Prepared, measuring: Measuring) -> tuple[Prepare
     if catalog.errors is not None or stated.any() or RIMS in measuring.without:
         return first, None
     near = _near(first)
-    errors = None if near is None else _estimated(first, near)
+    errors = None if near is None or _by_chance(first, near) else _estimated(first, near)
     if near is None or errors is None or _explained(first, near):
         return first, None
     if first.dataset.measurements is not None:
@@ -63,7 +64,8 @@ def with_unstated_errors(first: Prepared, measuring: Measuring) -> tuple[Prepare
             break
         errors, final = found, _again(first, measuring, found)
         found = _estimated(final, _near(final))
-    return (final, errors) if _confirmed(first, final) else (first, None)
+    confirmed = _frames_with_rims(final) >= _LEAST_KEPT * _frames_with_rims(first)
+    return (final, errors) if confirmed else (first, None)
 
 
 def _near(prepared: Prepared) -> FloatArray | None:
@@ -76,6 +78,16 @@ def _near(prepared: Prepared) -> FloatArray | None:
     except (EstimationError, *NUMERICAL_ERRORS):
         return None
     return np.array([poses[frame.stamp_ns] for frame in measured.frames])
+
+
+def _by_chance(prepared: Prepared, near: FloatArray) -> bool:
+    """Whether rims were found in so few images that they may be others than the catalogue's."""
+    counts = np.array([len(frame.rims) for frame in prepared.measured.frames])
+    expected = expected_rims(prepared.dataset, near, prepared.measured.limits)
+    if expected is None:
+        return False
+    should = np.array(expected) >= _CRATERS
+    return bool((counts[should] >= _CRATERS).sum() < _LEAST_FOUND * should.sum())
 
 
 def _estimated(prepared: Prepared, near: FloatArray | None) -> EstimatedErrors | None:
@@ -114,9 +126,5 @@ def _again(first: Prepared, measuring: Measuring, errors: EstimatedErrors, facto
     return replace(measuring, report=report).prepared(dataset, first.relocaliser.sharing_index(dataset))
 
 
-def _confirmed(first: Prepared, final: Prepared) -> bool:
-    """Whether more rims are found with errors of the map, and more than chance finds."""
-    before, after = (sum(len(f.rims) for f in one.measured.frames) for one in (first, final))
-    guides, limits = final.measured.guides, final.measured.limits
-    expected = None if guides is None else expected_rims(final.dataset, guides, limits)
-    return after >= before and (expected is None or after >= _LEAST_FOUND * sum(expected))
+def _frames_with_rims(prepared: Prepared) -> int:
+    return sum(len(frame.rims) > 0 for frame in prepared.measured.frames)
