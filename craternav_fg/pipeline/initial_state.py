@@ -28,6 +28,8 @@ _SIGMA_FACTOR = 10.0
 _GYRO_BIAS_SIGMA_RAD_S = 4.8e-5
 _ACCELEROMETER_BIAS_SIGMA_M_S2 = 1e-2
 _ANGULAR_VELOCITY_SIGMA_RAD_S = 0.01
+# Images, evenly spaced, that are asked whether they are mirrored.
+_ASKED = 5
 # Of fixed-point iterations: each shrinks the error by gravity's gradient times the interval squared, 1e-2 for
 # 100 s on the Moon.
 _ITERATIONS = 8
@@ -72,7 +74,7 @@ def find_initial(
     if len(seen) < 2:
         raise EstimationError(
             f"dataset.toml has no initial state, and of {len(stamps)} frames the craters of {len(seen)} were "
-            "identified, expected two"
+            f"identified, expected two{'' if seen else _mirrored(dataset, relocaliser)}"
         )
     (first_ns, first), (second_ns, second) = seen
     interval_s = 1e-9 * (second_ns - first_ns)
@@ -87,6 +89,20 @@ def find_initial(
         ahead = filter_state.propagate(_with_mean(descent, first.gTb, gV), descent, first_ns, second_ns)
         gV = gV + (second.gTb[:3, 3] - ahead.gTb[:3, 3]) / interval_s
     return propagated_back(descent, replace(state, gV=gV), stamps[0])
+
+
+def _mirrored(dataset: Dataset, relocaliser: Relocaliser) -> str:
+    """Say that craters are identified once an image is mirrored; empty if they are not."""
+    if dataset.measurements is not None:
+        return ""
+    for index in range(0, len(dataset), max(len(dataset) // _ASKED, 1)):
+        rims = relocaliser.rims_if_mirrored(index)
+        if rims:
+            return (
+                f"; {rims} are identified in {dataset.image_paths[index].name} if it is mirrored left to "
+                "right, or the longitudes in the catalogue are positive west, or its latitudes positive south"
+            )
+    return ""
 
 
 def _with_motion(

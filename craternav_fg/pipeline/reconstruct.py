@@ -120,7 +120,7 @@ def reconstruct(
         displaced=_displaced(dataset, measured.segments),
         lowered=prepared.lowered,
         map_errors=map_errors,
-        mistake="" if searched is None else _mistake(dataset, Descent.of(dataset, initial), measured),
+        mistake="" if searched is None else _mistake(dataset, Descent.of(dataset, initial), measured, report),
     )
 
 
@@ -298,13 +298,15 @@ def _options(chosen: Sequence[Estimator], limits: GuidedOptions | None) -> dict[
     return options if limits is None else options | {"front_end": asdict(limits)}
 
 
-def _mistake(dataset: Dataset, descent: Descent, measured: Measured) -> str:
+def _mistake(dataset: Dataset, descent: Descent, measured: Measured, report: Progress) -> str:
     """Explain why no rim was found in any image, or only from a turned camera; empty if nothing does."""
     first = measured.segments[0].initial
     turned = turned_about_axis(dataset.camera, descent.initial.gTb, first.gTb)
     if any(len(frame.rims) for frame in measured.frames) and not turned:
         return ""
-    return likely_mistake(dataset, descent)
+    return likely_mistake(
+        dataset, descent, lambda done, total: report("usual mistakes that were tried", done, total)
+    )
 
 
 def _name(dataset: Dataset, frame: int) -> str:

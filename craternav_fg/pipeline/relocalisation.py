@@ -153,6 +153,30 @@ class Relocaliser:
             find_rims_network(self._image(index), sun_angle_rad), among
         )
 
+    def rims_if_mirrored(self, index: int) -> int:
+        """Identify the craters of an image that is mirrored left to right.
+
+        A catalogue whose longitudes are positive west, or latitudes positive south, is mirrored, too.
+
+        Parameters
+        ----------
+        index : int
+            Index of the frame; the data set has images.
+
+        Returns
+        -------
+        int
+            Number of rims that are identified; 0 when they are not.
+        """
+        camera = self._dataset.camera.pinhole
+        mirrored = replace(camera, cx_px=camera.width_px - 1 - camera.cx_px)
+        found = find_rims(np.ascontiguousarray(self._image(index)[:, ::-1]))
+        answer = identify(
+            found.ellipses_px, mirrored, self._triples, options=IdentifyOptions.of(mirrored),
+            traced=found.traced,
+        )  # fmt: skip
+        return int(np.count_nonzero(answer.rows >= 0)) if answer.identified else 0
+
     def _identified(self, found: FoundRims, among: IntArray | None = None) -> PoseFix | None:
         """Pose of the image whose rims were detected; None when their craters are not identified."""
         data = self._dataset

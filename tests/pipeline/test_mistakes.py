@@ -10,6 +10,7 @@ import pytest
 from craternav_fg import frames
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.sun import SunVectors
+from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.pipeline import warnings
 from craternav_fg.pipeline.mistakes import likely_mistake, turned_about_axis
@@ -38,6 +39,9 @@ def with_images(data: Dataset, folder: Path, change) -> Dataset:
     [
         (lambda image: image[:, ::-1], "it is mirrored left to right"),
         (lambda image: image[::-1, ::-1], "it is turned by 180 deg"),
+        (lambda image: image.T, "it is transposed"),
+        (lambda image: np.rot90(image), "it is turned by 90 deg clockwise"),
+        (lambda image: np.rot90(image, -1), "it is turned by 90 deg anticlockwise"),
         (
             lambda image: 255 - image,
             "it is taken for a negative, or if the sun of sun.csv stands on the opposite side",
@@ -56,6 +60,24 @@ def test_sun_and_sizes(data: Dataset) -> None:
     assert "radii for diameters" in likely_mistake(replace(data, catalog=small), Descent.of(data))
     west = replace(c, longitude_rad=-c.longitude_rad)
     assert "are positive west" in likely_mistake(replace(data, catalog=west), Descent.of(data))
+    south = replace(c, latitude_rad=-c.latitude_rad)
+    assert "are positive south" in likely_mistake(replace(data, catalog=south), Descent.of(data))
+
+
+def test_an_image_that_shows_nothing_is_not_asked(data: Dataset, tmp_path: Path) -> None:
+    mirrored = with_images(data, tmp_path, lambda image: image[:, ::-1])
+    cv2.imwrite(str(mirrored.image_paths[0]), np.full_like(data.image(0), 12))
+    tried: list[tuple[int, int]] = []
+    said = likely_mistake(mirrored, Descent.of(data), lambda *done: tried.append(done))
+    assert f"found in {data.image_paths[1].name} if it is mirrored" in said
+    assert tried == [(k, tried[0][1]) for k in range(len(tried))]
+    assert len(tried) == tried[0][1] + 1
+
+
+def test_mirrored_images_without_an_initial_state(data: Dataset, tmp_path: Path) -> None:
+    mirrored = with_images(data, tmp_path, lambda image: image[:, ::-1])
+    with pytest.raises(EstimationError, match=r"are identified in \d+\.png if it is mirrored"):
+        reconstruct(replace(mirrored, initial=None), ["ekf"])
 
 
 def test_a_camera_that_is_turned_is_recognised(data: Dataset) -> None:
