@@ -150,7 +150,9 @@ class Measuring:
     repeated: Collection[int]
     report: Progress
 
-    def prepared(self, dataset: Dataset, relocaliser: Relocaliser) -> Prepared:
+    def prepared(
+        self, dataset: Dataset, relocaliser: Relocaliser, *, lowered: bool | None = None
+    ) -> Prepared:
         """Measure the frames of a data set, check its logs, and make problems for the estimators.
 
         Parameters
@@ -158,6 +160,8 @@ class Measuring:
         dataset : Dataset
         relocaliser : Relocaliser
             With the same data set.
+        lowered : bool, optional
+            Whether the catalogue's heights are those of the rims' points; the rims decide if not given.
 
         Returns
         -------
@@ -193,7 +197,8 @@ class Measuring:
                 problems = measured.problems(descent)
         except NUMERICAL_ERRORS as error:
             raise EstimationError(f"start: {one_sentence(error)}") from error
-        lowered = heights_of_points(problems)
+        if lowered is None:
+            lowered = heights_of_points(problems)
         if lowered:
             descent = replace(descent, catalog=lowered_to_planes(descent.catalog))
             problems = measured.problems(descent)

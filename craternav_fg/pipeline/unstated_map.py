@@ -123,7 +123,9 @@ def _again(first: Prepared, measuring: Measuring, errors: EstimatedErrors, facto
     def report(what: str, done: int, total: int) -> None:
         measuring.report(f"{what} again, with the map's errors", done, total)
 
-    return replace(measuring, report=report).prepared(dataset, first.relocaliser.sharing_index(dataset))
+    return replace(measuring, report=report).prepared(
+        dataset, first.relocaliser.sharing_index(dataset), lowered=first.lowered
+    )
 
 
 def _frames_with_rims(prepared: Prepared) -> int:
