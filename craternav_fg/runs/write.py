@@ -4,6 +4,7 @@ import importlib.metadata
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,7 @@ def write_run(
         "craters_expected_per_frame": result.expected_rims,
         "initial_state": result.origin,
         "initial_position": result.initial_position,
+        "assumed_map_errors": None if result.map_errors is None else asdict(result.map_errors),
         "reinitialised_at_frames": list(result.reinitialised_at),
         "failures": dict(result.failures),
         "warnings": [*result.warnings, *_doubted_truth(result, truth)],

@@ -1,6 +1,7 @@
 """A catalogue that states no errors and has some: the rims tell, unless something else explains them."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from craternav_fg.estimators.instruments import RIMS
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.resection.map_variances import EstimatedErrors, estimated_errors
+from craternav_fg.runs.write import write_run
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
 
@@ -106,7 +108,7 @@ def test_few_rims_tell_nothing(data: Dataset) -> None:
     assert estimated(replace(data, measurements=few), moved(data.catalog, PLACE_M)) is None
 
 
-def test_covariances_hold_the_errors_that_the_rims_show(data: Dataset) -> None:
+def test_covariances_hold_the_errors_that_the_rims_show(data: Dataset, tmp_path: Path) -> None:
     """Taken as exact, this map gave an ANEES of hundreds and more."""
     wrong = replace(data, catalog=moved(data.catalog, PLACE_M, SIZE_SHARE, HEIGHT_M))
     run = reconstruct(wrong, ["smoother", "online", "ekf"])
@@ -118,6 +120,8 @@ def test_covariances_hold_the_errors_that_the_rims_show(data: Dataset) -> None:
         found = metrics(trajectory, data.truth)
         assert found.anees is not None, name
         assert found.anees < 15.0, name
+    summary = write_run(tmp_path, run, dataset="", truth=None, times_s={}, wall_s=0.0)
+    assert summary["assumed_map_errors"]["height_m"] == run.map_errors.height_m
 
 
 def test_the_estimate_does_not_depend_on_the_estimators(data: Dataset) -> None:
