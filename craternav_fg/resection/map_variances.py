@@ -35,8 +35,9 @@ _IN_PX = np.array([True, False, False, True, False, False])
 _NOISE = np.array([False, False, False, False, False, True])
 # Iterations: of the variances, between linearisations, and of a pose.
 _ITERATIONS, _LINEARISATIONS, _FIRST_POSE_STEPS, _POSE_STEPS = 12, 4, 6, 2
-# A rim whose residual is so many times the median of all is a wrong match or a gross error.
-_OUTLIER = 10.0
+# A rim whose residual is so many times the median of all is a wrong match or a gross error: with the map as
+# exact, where those of near rims are larger, and with its errors.
+_FIRST_OUTLIER, _OUTLIER = 10.0, 4.0
 # Gain of the log likelihood over larger errors of the measurement that a map with errors must bring. Rims
 # over an exact map bring up to 2 on ground of another renderer (`tests/foreign`); sizes that are off by 1 %
 # bring 14, places by an eighth of a pixel 40.
@@ -161,7 +162,7 @@ def estimated_errors(
     step = 1 + len(seen) // _FRAMES
     images = _Images(seen[::step], [np.array(T, order="C") for T in poses[::step]], camera, catalog)
     exact = np.zeros(6)
-    rims = images.linearised(exact, _FIRST_POSE_STEPS)
+    rims = images.linearised(exact, _FIRST_POSE_STEPS, _FIRST_OUTLIER)
     if rims is None or not (_rises(rims, exact) & ~_NOISE).any():
         return None
     start = images.start()
@@ -169,7 +170,7 @@ def estimated_errors(
     for _ in range(_LINEARISATIONS):
         # All errors are taken to be the map's: a part for the noise would take those of wrong edges.
         variances = _likeliest(rims, variances if variances.any() else np.where(_NOISE, 0.0, start))
-        rims = images.linearised(variances, _POSE_STEPS)
+        rims = images.linearised(variances, _POSE_STEPS, _OUTLIER)
         if rims is None:
             return None
     both, noise = (_likeliest(rims, one) for one in (variances + _NOISE * start, _NOISE * start))
@@ -281,7 +282,7 @@ class _Images:
         px_m = float(np.median(np.concatenate(ranges_m))) / self.camera.focal_px
         return np.asarray((_START * np.where(_IN_PX, px_m, 1.0)) ** 2)
 
-    def linearised(self, variances: FloatArray, steps: int) -> _Rims | None:
+    def linearised(self, variances: FloatArray, steps: int, outlier: float) -> _Rims | None:
         """Linearise at the poses that the rims give, without outliers; None where none are left."""
         every = [
             self._at_own_pose(rims, T, variances, steps)
@@ -291,7 +292,7 @@ class _Images:
         if not found:
             return None
         away = [one.distances(variances) for one in found]
-        limit = _OUTLIER * float(np.median(np.concatenate(away)))
+        limit = outlier * float(np.median(np.concatenate(away)))
         kept = [_taken(one, d <= limit) for one, d in zip(found, away, strict=True)]
         enough = [one for one in kept if len(one.craters) >= _MIN_RIMS]
         return _Rims.joined(enough) if enough else None
