@@ -210,7 +210,9 @@ def test_a_full_disk_and_a_terminal_of_ascii(tmp_path: Path) -> None:
 
 
 def test_numba_gets_a_folder_where_it_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    # Set first, so that at the end it is what it was before, whatever the function has set.
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert numba_cache.provide() is None
     monkeypatch.setattr(numba_cache, "_writable", lambda folder: False)
