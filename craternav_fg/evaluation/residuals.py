@@ -17,6 +17,9 @@ from factors.kernels import conic
 
 # A rim with a larger squared residual is an outlier: 7 sigma, which no noise of 5 components explains.
 OUTLIER_CHI2 = 50.0
+# A crater is wrong whose rims are outliers in this share of its frames, of which there are so many; and at
+# most this share of the craters is.
+_MIN_OUTLIERS, _MIN_FRAMES, _MAX_WRONG = 0.8, 3, 0.1
 
 
 def rim_residuals(
@@ -56,14 +59,42 @@ def _residuals(
     if found.map_errors is not None:
         catalog = apply_errors(catalog, found.map_errors).catalog
     for frame, gTb in zip(measured, _poses_at_exposure(trajectory), strict=True):
-        rims = frame.rims
-        predicted, _ = conic.project_rims(
-            gTb, camera.bTc, catalog.centres[rims.craters], catalog.axes[rims.craters]
-        )
-        if found.intrinsics is not None:
-            predicted = predicted + intrinsic_slopes(predicted, camera) @ found.intrinsics[0]
-        parts.append(np.einsum("nij,nj->ni", whitening(rims.covariance), rims.chart - predicted))
+        intrinsics = None if found.intrinsics is None else found.intrinsics[0]
+        parts.append(frame_residuals(frame, gTb, camera, catalog, intrinsics))
     return parts
+
+
+def frame_residuals(
+    frame: FrameMeasurement,
+    gTb: FloatArray,
+    camera: Camera,
+    catalog: Catalog,
+    intrinsics: FloatArray | None = None,
+) -> FloatArray:
+    """Whitened residuals, measured minus predicted chart, of a frame's rims at a pose.
+
+    Parameters
+    ----------
+    frame : FrameMeasurement
+        With n rims.
+    gTb : ndarray, shape (4, 4)
+        Pose of the body at the exposure, in g, m.
+    camera : Camera
+    catalog : Catalog
+    intrinsics : ndarray, shape (4,), optional
+        Errors of the intrinsics, see `Calibrated.intrinsics`.
+
+    Returns
+    -------
+    ndarray, shape (n, 5)
+        NaN where the pose cannot see the crater.
+    """
+    rims = frame.rims
+    centres, axes = catalog.centres[rims.craters], catalog.axes[rims.craters]
+    predicted, _ = conic.project_rims(np.ascontiguousarray(gTb), camera.bTc, centres, axes)
+    if intrinsics is not None:
+        predicted = predicted + intrinsic_slopes(predicted, camera) @ intrinsics
+    return np.einsum("nij,nj->ni", whitening(rims.covariance), rims.chart - predicted)
 
 
 def outlier_share(residuals: FloatArray) -> float | None:
@@ -81,6 +112,31 @@ def outlier_share(residuals: FloatArray) -> float | None:
     """
     chi2 = np.sum(residuals**2, axis=1)
     return float(np.mean(~(chi2 <= OUTLIER_CHI2))) if len(chi2) else None
+
+
+def outlying_craters(residuals: FloatArray, measured: Sequence[FrameMeasurement]) -> dict[int, int]:
+    """Find craters that contradict a trajectory which the others agree with.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (n, 5)
+        See `rim_residuals`.
+    measured : sequence of FrameMeasurement
+        The frames, with n rims.
+
+    Returns
+    -------
+    dict of int to int
+        By row of the catalogue, in how many frames; empty where they are many: then it is not the craters
+        that are wrong.
+    """
+    craters = np.concatenate([np.empty(0, np.int64), *(frame.rims.craters for frame in measured)])
+    rows, index, counts = np.unique(craters, return_inverse=True, return_counts=True)
+    outliers = np.bincount(index, ~(np.sum(residuals**2, axis=1) <= OUTLIER_CHI2), len(rows))
+    wrong = (counts >= _MIN_FRAMES) & (outliers >= _MIN_OUTLIERS * counts)
+    if not wrong.any() or wrong.sum() > max(_MAX_WRONG * len(rows), 1.0):
+        return {}
+    return dict(zip(rows[wrong].tolist(), counts[wrong].tolist(), strict=True))
 
 
 def poses_at_exposure(trajectory: Trajectory) -> FloatArray:

@@ -266,6 +266,27 @@ def assumed_map_errors(errors: "EstimatedErrors | None") -> list[str]:
     ]
 
 
+def wrong_craters(frames: Mapping[str, int]) -> list[str]:
+    """Warn of craters that contradict all others.
+
+    Parameters
+    ----------
+    frames : mapping of str to int
+        By the crater's name, in how many frames.
+
+    Returns
+    -------
+    list of str
+    """
+    if not frames:
+        return []
+    names = [f"{name} ({count} frames)" for name, count in frames.items()]
+    return [
+        f"the rims of {_listed(names)} are outliers (beyond 7 sigma) where the others agree, and left out: "
+        "are they those of other craters, or is the catalogue wrong there?"
+    ]
+
+
 def repeated_images(repeated: Mapping[str, str]) -> list[str]:
     """Warn of images that are copies of earlier ones.
 

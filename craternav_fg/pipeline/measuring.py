@@ -3,6 +3,8 @@
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.errors import EstimationError, one_sentence
@@ -10,8 +12,10 @@ from craternav_fg.estimators.base import NUMERICAL_ERRORS, Descent, Problem
 from craternav_fg.estimators.instruments import CAMERA_AND_IMU
 from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import make_problem
+from craternav_fg.evaluation.residuals import frame_residuals, outlying_craters
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.map_errors import (
+    filtered_poses,
     lack_map_errors,
     with_map_errors,
     with_white_map_errors,
@@ -100,6 +104,8 @@ class Prepared:
         One for each segment.
     lowered : bool
         See `Reconstruction`.
+    wrong_craters : mapping of int to int
+        Craters of measured rims that the others contradict, and in how many frames: they are left out.
     """
 
     dataset: Dataset
@@ -110,6 +116,7 @@ class Prepared:
     lacking: bool
     problems: tuple[Problem, ...]
     lowered: bool
+    wrong_craters: Mapping[int, int] = field(default_factory=dict)
 
     def without_map_errors(self) -> tuple[FrameMeasurement, ...]:
         """Take the errors of the map out of the rims, for what estimates them.
@@ -192,6 +199,13 @@ class Measuring:
             # Where a wrong IMU led, the rims of its frames are those that were left out.
             check_imu(measured.every.problems(descent), dataset.path)
             check_logs(problems, dataset.path)
+            wrong = {} if dataset.measurements is None else _wrong_craters(problems)
+            if wrong:
+                read = tuple(_without(frame, wrong) for frame in read)
+                measured = replace(
+                    measured, frames=tuple(_without(frame, wrong) for frame in measured.frames)
+                )
+                problems = measured.problems(descent)
             if lacking:
                 measured = replace(measured, frames=with_map_errors(read, problems))
                 problems = measured.problems(descent)
@@ -202,7 +216,7 @@ class Measuring:
         if lowered:
             descent = replace(descent, catalog=lowered_to_planes(descent.catalog))
             problems = measured.problems(descent)
-        return Prepared(dataset, relocaliser, descent, measured, read, lacking, problems, lowered)
+        return Prepared(dataset, relocaliser, descent, measured, read, lacking, problems, lowered, wrong)
 
     def _measured(self, dataset: Dataset, relocaliser: Relocaliser) -> Measured:
         """Take the data set's measurements, or measure its images."""
@@ -238,6 +252,25 @@ class Measuring:
         guides = measured.guides
         motion = None if guides is None else GroundMotion(guides, dataset.body.radius_m)
         return track_points(images(), measured.frames, dataset.camera, limits.points, motion)
+
+
+def _wrong_craters(problems: Sequence[Problem]) -> dict[int, int]:
+    """Craters that contradict the filter, which single rims do not lead astray, in how many frames each."""
+    try:
+        poses = filtered_poses(problems)
+    except (EstimationError, *NUMERICAL_ERRORS):
+        return {}
+    descent, frames = problems[0], [frame for problem in problems for frame in problem.frames]
+    residuals = [
+        frame_residuals(frame, poses[frame.stamp_ns], descent.camera, descent.catalog) for frame in frames
+    ]
+    return outlying_craters(np.concatenate(residuals), frames)
+
+
+def _without(frame: FrameMeasurement, craters: Collection[int]) -> FrameMeasurement:
+    """Leave the rims of some craters out of a frame."""
+    kept = ~np.isin(frame.rims.craters, list(craters))
+    return frame if kept.all() else replace(frame, rims=frame.rims.take(kept))
 
 
 def expected_rims(dataset: Dataset, gTb: FloatArray, limits: GuidedOptions | None) -> tuple[int, ...] | None:

@@ -119,6 +119,9 @@ def reconstruct(
         disbelieved={k: _name(dataset, k) for k in measured.disbelieved},
         displaced=_displaced(dataset, measured.segments),
         lowered=prepared.lowered,
+        wrong_craters={
+            dataset.catalog.identifiers[row]: count for row, count in prepared.wrong_craters.items()
+        },
         map_errors=map_errors,
         mistake="" if searched is None else _mistake(dataset, Descent.of(dataset, initial), measured, report),
     )

@@ -91,6 +91,8 @@ class Reconstruction:
         Where the initial position was replaced by one that contradicts it: where it is from it.
     lowered : bool
         Whether the catalogue's heights were taken for those of the rims' points, see `pipeline.rim_planes`.
+    wrong_craters : mapping of str to int
+        Craters whose measured rims were left out, as the others contradict them, and in how many frames.
     map_errors : EstimatedErrors or None
         Errors that were assumed of a catalogue that states none, as the rims show them; None where it states
         its errors, or the rims agree with it.
@@ -117,6 +119,7 @@ class Reconstruction:
     mistake: str = ""
     displaced: str = ""
     lowered: bool = False
+    wrong_craters: Mapping[str, int] = field(default_factory=dict)
     map_errors: EstimatedErrors | None = None
 
     @cached_property
@@ -263,6 +266,7 @@ class Reconstruction:
             *input_warnings.empty_logs({one.name: len(one) for one in descent.sensors}),
             *input_warnings.colour_images(self.in_colour),
             *input_warnings.repeated_craters(self.repeated_craters),
+            *input_warnings.wrong_craters(self.wrong_craters),
             *input_warnings.departing_sun(self.sun_departure_rad),
             *input_warnings.repeated_images(self.repeated),
             *input_warnings.disbelieved_frames(self.disbelieved),

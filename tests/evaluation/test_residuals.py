@@ -10,7 +10,12 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.evaluation.residuals import outlier_share, poses_at_exposure, rim_residuals
+from craternav_fg.evaluation.residuals import (
+    outlier_share,
+    outlying_craters,
+    poses_at_exposure,
+    rim_residuals,
+)
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.pipeline.reconstruct import _joined
 from craternav_fg.trajectory import Calibrated, Trajectory
@@ -131,3 +136,22 @@ def test_each_segment_has_its_own_calibration(trajectory: Trajectory, catalog: C
     some = joined.take(np.array([1, 2]))
     assert_allclose(rim_residuals(some, measured[1:], CAMERA, catalog), 0.0, atol=1e-4)
     assert poses_at_exposure(joined.take(np.arange(0))).shape == (0, 4, 4)
+
+
+def test_craters_that_contradict_the_others() -> None:
+    """One crater of twelve, in most of its frames; two of two are no matter of the craters."""
+
+    def frames_of(craters: int) -> list[FrameMeasurement]:
+        rims = RimSet(np.arange(craters), np.zeros((craters, 5)), np.tile(np.eye(5), (craters, 1, 1)))
+        return [FrameMeasurement(k, rims, None) for k in range(5)]
+
+    residuals = np.zeros((60, 5))
+    residuals[7::12] = 8.0
+    assert outlying_craters(residuals, frames_of(12)) == {7: 5}
+    residuals[7] = 0.0
+    assert outlying_craters(residuals, frames_of(12)) == {7: 5}
+    residuals[19] = 0.0
+    assert outlying_craters(residuals, frames_of(12)) == {}
+    assert outlying_craters(np.full((10, 5), 8.0), frames_of(2)) == {}
+    assert outlying_craters(np.full((2, 5), 8.0), frames_of(1)[:2]) == {}
+    assert outlying_craters(np.empty((0, 5)), []) == {}

@@ -153,6 +153,30 @@ def test_what_is_stated_or_explained_otherwise_is_left_alone(data: Dataset) -> N
     assert any("diameters for semi-axes" in text for text in run.warnings)
 
 
+def test_a_crater_under_the_name_of_another_is_named(data: Dataset) -> None:
+    """In all of its frames: no frame alone tells, but the others agree without it."""
+    assert data.measurements is not None
+    every = np.concatenate([one.rims.craters for one in data.measurements])
+    rows, counts = np.unique(every, return_counts=True)
+    wrong = int(rows[np.argmax(counts)])
+    other = next(row for row in range(len(data.catalog)) if row not in rows)
+    renamed = tuple(
+        replace(
+            one, rims=replace(one.rims, craters=np.where(one.rims.craters == wrong, other, one.rims.craters))
+        )
+        for one in data.measurements
+    )
+    run = reconstruct(replace(data, measurements=renamed), ["smoother"])
+    (text,) = (one for one in run.warnings if "where the others agree" in one)
+    assert f"rims of {data.catalog.identifiers[other]} ({counts.max()} frames) are outliers" in text
+    assert run.map_errors is None
+    exact = reconstruct(data, ["smoother"])
+    assert not exact.wrong_craters
+    assert data.truth is not None
+    rms_m = [metrics(one.trajectories["smoother"], data.truth).position_rms_m for one in (run, exact)]
+    assert rms_m[0] < 1.5 * rms_m[1]
+
+
 def test_words() -> None:
     errors = EstimatedErrors(123.4, 0.02, 0.0, 4.0, 0.003)
     assert errors.words == "places 123 m and 2 % of the radius per axis, heights 4 m and 0.3 % of the radius"
