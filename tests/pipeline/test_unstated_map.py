@@ -17,6 +17,8 @@ from craternav_fg.resection.map_variances import EstimatedErrors, estimated_erro
 from craternav_fg.runs.write import write_run
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
+from tests.foreign.files import write
+from tests.foreign.worlds import draw_world
 
 PLACE_M, SIZE_SHARE, HEIGHT_M = 20.0, 0.01, 30.0
 
@@ -127,6 +129,29 @@ def test_covariances_hold_the_errors_that_the_rims_show(data: Dataset, tmp_path:
         assert found.anees < 15.0, name
     summary = write_run(tmp_path, run, dataset="", truth=None, times_s={}, wall_s=0.0)
     assert summary["assumed_map_errors"]["height_m"] == run.map_errors.height_m
+
+
+def test_images_are_measured_again_with_the_errors_that_they_show(tmp_path: Path) -> None:
+    """On ground of another renderer: as exact, rims are not found, and the rest is believed."""
+    exact = Dataset.open(write(draw_world(1, "gentle"), tmp_path / "d", 1))
+    assert reconstruct(exact, ["ekf"]).map_errors is None
+    wrong = replace(exact, catalog=moved(exact.catalog, 15.0))
+    said: set[str] = set()
+    run = reconstruct(wrong, ["ekf"], progress=lambda what, done, total: said.add(what))
+    assert run.map_errors is not None
+    assert np.median(run.map_errors.of(wrong.catalog).place_m) == pytest.approx(15.0, rel=0.4)
+    assert "frames again, with the map's errors" in said
+    zeros = replace(wrong, catalog=replace(wrong.catalog, errors=MapErrors.zeros(len(wrong.catalog))))
+    believed = reconstruct(zeros, ["ekf"])
+    assert believed.map_errors is None
+    rims, fewer = (sum(len(frame.rims) for frame in one.frames) for one in (run, believed))
+    assert rims > 1.2 * fewer
+    assert exact.truth is not None
+    anees = [metrics(one.trajectories["ekf"], exact.truth).anees for one in (run, believed)]
+    assert anees[0] is not None
+    assert anees[1] is not None
+    assert anees[0] < 12.0
+    assert anees[1] > 50.0
 
 
 def test_the_estimate_does_not_depend_on_the_estimators(data: Dataset) -> None:
