@@ -43,8 +43,6 @@ def with_unstated_errors(first: Prepared, measuring: Measuring) -> tuple[Prepare
 
     Raises
     ------
-    EstimationError
-        When the front end fails, or no start is found.
     InputError
         When an image cannot be read.
     """
@@ -56,6 +54,17 @@ def with_unstated_errors(first: Prepared, measuring: Measuring) -> tuple[Prepare
     errors = None if near is None or _by_chance(first, near) else _estimated(first, near)
     if near is None or errors is None or _explained(first, near):
         return first, None
+    try:
+        return _measured_again(first, measuring, errors)
+    except EstimationError:
+        # What was measured with the map as exact is there.
+        return first, None
+
+
+def _measured_again(
+    first: Prepared, measuring: Measuring, errors: EstimatedErrors
+) -> tuple[Prepared, EstimatedErrors | None]:
+    """Measure with the errors of a first estimate, and with better ones."""
     if first.dataset.measurements is not None:
         return _again(first, measuring, errors), errors
     found: EstimatedErrors | None = errors.scaled(_WIDER)

@@ -10,8 +10,10 @@ from craternav_fg import frames
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset
+from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.instruments import RIMS
 from craternav_fg.evaluation.metrics import metrics
+from craternav_fg.pipeline import unstated_map
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.resection.map_variances import EstimatedErrors, estimated_errors
 from craternav_fg.runs.write import write_run
@@ -200,6 +202,18 @@ def test_a_crater_under_the_name_of_another_is_named(data: Dataset) -> None:
     assert data.truth is not None
     rms_m = [metrics(one.trajectories["smoother"], data.truth).position_rms_m for one in (run, exact)]
     assert rms_m[0] < 1.5 * rms_m[1]
+
+
+def test_a_measurement_that_fails_with_the_errors_leaves_the_first(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise EstimationError("no start")
+
+    monkeypatch.setattr(unstated_map, "_again", fails)
+    run = reconstruct(replace(data, catalog=moved(data.catalog, PLACE_M)), ["ekf"])
+    assert run.map_errors is None
+    assert any("counts as exact" in text for text in run.warnings)
 
 
 def test_words() -> None:
