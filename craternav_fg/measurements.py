@@ -1,6 +1,6 @@
 """Measurements of one image: rims as ellipse charts, parts of rims as edge points, and the sun's tilt."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -12,8 +12,11 @@ from factors.kernels.compiled import njit
 
 # A predicted shape farther than this from the measured one, in standard deviations, is not believed.
 EXPECTED_SIGMAS = 5.0
-# Most unknowns of a rim's time-correlated error: five in the rim's plane, its height, and the plane's slopes.
-CORRELATED_SIZE = 8
+# Unknowns of a rim's time-correlated error: five in the rim's plane.
+CORRELATED_SIZE = 5
+# Unknowns of a crater's error on the map, those of `factors.kernels.rim_errors.ground_slopes`, and the slopes
+# of its rim's plane.
+MAP_SIZE, TILT_SIZE = 6, 2
 # Unknowns of the error that all rims of a descent share, see `vision.error_model.correlated`.
 SHARED_SIZE = 8
 
@@ -95,8 +98,9 @@ class RimQuality:
 class RimSet:
     """Measured rims of one frame, matched to catalogue craters.
 
-    The error of a rim's chart has up to three independent parts: white (new in each frame), time-correlated
-    per crater (`correlated`) and common to all rims of a descent (`shared`).
+    The error of a rim's chart has up to four independent parts: white (new in each frame), time-correlated
+    per crater (`correlated`), from the crater's error on the map (`of_map`) and common to all rims of a
+    descent (`shared`).
 
     Attributes
     ----------
@@ -109,11 +113,15 @@ class RimSet:
         Covariance of the whole error of each chart.
     quality : RimQuality or None
         None when the rims were not measured in an image.
-    correlated : ndarray, shape (n, 5, m), optional
-        Root A of the time-correlated part A A' of the covariance, with m of 5, 6 or 8. The error is A z, with
-        a z per crater that hardly changes from frame to frame, so the columns belong to directions fixed to
-        the ground: five in the rim's plane, of which the first two displace it, its height, and the two
-        slopes of its plane. None when no such part is known.
+    correlated : ndarray, shape (n, 5, 5), optional
+        Root A of the time-correlated part A A' of the covariance. The error is A z, with a z per crater that
+        changes little from frame to frame, so the columns belong to directions fixed to the ground: five in
+        the rim's plane, of which the first two displace it. None when no such part is known.
+    of_map : ndarray, shape (n, 5, m), optional
+        Root A of the part from errors of the map: the error is A z, with a z per crater that is the same in
+        all frames, but see `with_changing_place`. Of the columns, the first six displace, raise and stretch
+        the rim, in the order of `factors.kernels.rim_errors.ground_slopes`, and the last two tilt its plane;
+        m is 6, 2 or 8. None when the map counts as exact.
     shared : ndarray, shape (n, 5, 8), optional
         Root A of the common part of the covariance: the error is A z, with one z for all rims and frames.
         None when no such part is known.
@@ -128,6 +136,7 @@ class RimSet:
     covariance: FloatArray
     quality: RimQuality | None = None
     correlated: FloatArray | None = None
+    of_map: FloatArray | None = None
     shared: FloatArray | None = None
     fused_white: FloatArray | None = None
 
@@ -143,17 +152,22 @@ class RimSet:
             A mask or indices.
         """
         quality = None if self.quality is None else self.quality.take(rows)
-        parts = (self.correlated, self.shared, self.fused_white)
+        parts = (*self.kept, self.fused_white)
         return RimSet(
             self.craters[rows], self.chart[rows], self.covariance[rows], quality,
             *(None if part is None else part[rows] for part in parts),
         )  # fmt: skip
 
     @property
+    def kept(self) -> tuple[FloatArray | None, FloatArray | None, FloatArray | None]:
+        """Roots (n, 5, m) of what is not white of the error: `correlated`, `of_map` and `shared`."""
+        return self.correlated, self.of_map, self.shared
+
+    @property
     def uncorrelated_covariance(self) -> FloatArray:
         """Covariance (n, 5, 5) of the white part of the error alone."""
         out = self.covariance
-        for A in (self.correlated, self.shared):
+        for A in self.kept:
             if A is not None:
                 out = out - A @ np.swapaxes(A, 1, 2)
         return out
@@ -178,9 +192,12 @@ class RimSet:
             Predicted charts, in normalised image coordinates.
         """
         T, covariance = _at_predicted(self.chart, np.ascontiguousarray(self.covariance), charts)
-        correlated, shared = (None if A is None else T @ A for A in (self.correlated, self.shared))
+        correlated, of_map, shared = (None if A is None else T @ A for A in self.kept)
         fused = None if self.fused_white is None else T @ self.fused_white @ np.swapaxes(T, 1, 2)
-        return RimSet(self.craters, self.chart, covariance, self.quality, correlated, shared, fused)
+        return replace(
+            self, covariance=covariance, correlated=correlated, of_map=of_map, shared=shared,
+            fused_white=fused,
+        )  # fmt: skip
 
     def inflate_correlated(self, factor: float) -> "RimSet":
         """Treat the correlated parts of the error as white, with their variance multiplied by a factor.
@@ -194,10 +211,10 @@ class RimSet:
         factor : float
             Variance inflation of the correlated parts.
         """
-        if self.correlated is None and self.shared is None and self.fused_white is None:
+        if self.fused_white is None and all(A is None for A in self.kept):
             return self
         out = self.fused_white_covariance
-        for A in (self.correlated, self.shared):
+        for A in self.kept:
             if A is not None:
                 out = out + factor * A @ np.swapaxes(A, 1, 2)
         return RimSet(self.craters, self.chart, out, self.quality)
@@ -214,11 +231,43 @@ class RimSet:
         if self.shared is not None:
             shared = self.shared @ np.swapaxes(self.shared, 1, 2)
         covariance = shared + factors[:, None, None] * (self.covariance - shared)
-        correlated = self.correlated
-        if correlated is not None:
-            correlated = np.sqrt(factors)[:, None, None] * correlated
+        scale = np.sqrt(factors)[:, None, None]
+        correlated, of_map = (None if A is None else scale * A for A in (self.correlated, self.of_map))
         fused = None if self.fused_white is None else factors[:, None, None] * self.fused_white
-        return RimSet(self.craters, self.chart, covariance, self.quality, correlated, self.shared, fused)
+        return replace(
+            self, covariance=covariance, correlated=correlated, of_map=of_map, fused_white=fused
+        )  # fmt: skip
+
+    def with_changing_place(self, share: float) -> "RimSet":
+        """Count a part of the map's errors of place as time-correlated.
+
+        Parameters
+        ----------
+        share : float
+            Share of their variance.
+        """
+        if share == 0.0 or self.of_map is None or self.of_map.shape[2] < MAP_SIZE:
+            return self
+        scale = np.ones(self.of_map.shape[2])
+        scale[:2] = np.sqrt(1.0 - share)
+        moved = np.sqrt(share) * self.of_map[:, :, :2]
+        if self.correlated is None:
+            correlated = np.zeros((len(self), 5, CORRELATED_SIZE))
+            correlated[:, :, :2] = moved
+        else:
+            # The triangular root of the sum: its columns belong to the same directions on the ground.
+            Q = np.linalg.solve(self.correlated, moved)
+            whole = np.eye(CORRELATED_SIZE) + Q @ np.swapaxes(Q, 1, 2)
+            correlated = self.correlated @ np.linalg.cholesky(whole)
+        return replace(self, correlated=correlated, of_map=scale * self.of_map)
+
+    def with_exact_map(self) -> "RimSet":
+        """Take the errors of the map out, but for the slopes of rims' planes."""
+        if self.of_map is None or self.of_map.shape[2] == TILT_SIZE:
+            return self
+        A, tilts = self.of_map[:, :, :MAP_SIZE], self.of_map[:, :, MAP_SIZE:]
+        left = self.covariance - A @ np.swapaxes(A, 1, 2)
+        return replace(self, covariance=left, of_map=tilts if tilts.shape[2] else None)
 
     def centres(self) -> "CentreSet":
         """Reduce the rims to the centres of the image ellipses: what centre-based navigation measures."""

@@ -28,11 +28,16 @@ from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.linalg import square_root
-from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
+from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, FrameMeasurement
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.vision.ellipse_fit import FitOptions
-from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, correlated_roots
+from craternav_fg.vision.error_model.correlated import (
+    CorrelatedErrorOptions,
+    correlated_roots,
+    map_covariance,
+    map_roots,
+)
 from craternav_fg.vision.error_model.systematic import RimErrors, floor_covariance
 from factors.arrays import FloatArray
 from factors.kernels.conic import project_rims
@@ -105,6 +110,7 @@ def _with_correlated_errors(dataset: Dataset, rng: np.random.Generator) -> list[
     camera, catalog, options = dataset.camera, dataset.catalog, CorrelatedErrorOptions()
     common = rng.standard_normal(SHARED_SIZE)
     states: dict[int, tuple[FloatArray, FloatArray]] = {}
+    on_map: dict[int, FloatArray] = {}
     out = []
     for frame, gTb in zip(dataset.measurements, dataset.truth.gTb, strict=True):
         rims = frame.rims
@@ -114,6 +120,7 @@ def _with_correlated_errors(dataset: Dataset, rng: np.random.Generator) -> list[
         level = RimErrors(rims.covariance + floors, floors, np.zeros((len(rows), 5)))
         sun_g = dataset.sun.at(frame.stamp_ns)
         kept, shared = correlated_roots(level, rows, gTb, sun_g, camera, catalog, options)
+        of_map = map_roots(rows, gTb, camera, catalog, options)
         new = np.sqrt(1.0 - options.crater_share) * np.linalg.cholesky(floors)
         error = shared @ common + np.einsum("nij,nj->ni", new, rng.standard_normal((len(rows), 5)))
         for i, crater in enumerate(rows.tolist()):
@@ -123,10 +130,15 @@ def _with_correlated_errors(dataset: Dataset, rng: np.random.Generator) -> list[
                 F = transition(float(shape_change(chart, charts[i])), RimErrorOptions().decay_shape_change)
                 state = F @ before + square_root(np.eye(STATE_SIZE) - F @ F.T) @ state
             states[crater] = state, charts[i]
-            error[i] += kept[i] @ state[: kept.shape[2]]
-        covariance = level.covariance + shared @ np.swapaxes(shared, 1, 2)
+            error[i] += kept[i] @ state[:CORRELATED_SIZE]
+            if of_map is not None:
+                drawn = np.asarray(rng.standard_normal(of_map.shape[2]))
+                error[i] += of_map[i] @ on_map.setdefault(crater, drawn)
+        covariance = level.covariance + map_covariance(rows, gTb, camera, catalog, options)
+        covariance += shared @ np.swapaxes(shared, 1, 2)
         told = replace(
-            rims, chart=rims.chart + error, covariance=covariance, correlated=kept, shared=shared
+            rims, chart=rims.chart + error, covariance=covariance, correlated=kept, of_map=of_map,
+            shared=shared,
         )  # fmt: skip
         out.append(replace(frame, rims=told))
     return out

@@ -5,6 +5,7 @@ They are errors of the map: the same whenever a crater is seen. Independent crat
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -28,6 +29,11 @@ class MapErrors:
     place_m: FloatArray
     size_share: FloatArray
     height_m: FloatArray
+
+    @cached_property
+    def exact(self) -> bool:
+        """Whether all of them are zero."""
+        return not any(getattr(self, field.name).any() for field in fields(self))
 
     @classmethod
     def zeros(cls, count: int) -> "MapErrors":

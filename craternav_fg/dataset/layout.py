@@ -119,8 +119,8 @@ columns of the truth; for comparison only. `sensor.yaml` beside it has their sta
 `rims.parquet` (optional): measured rims, one row per rim; when it is there, no image is read. Columns:
 `timestamp` (int64, a frame's), `crater_id` (string, in the catalogue), `chart` (5 doubles) and `covariance`
 (25 doubles, row by row), see `craternav_fg.measurements.RimSet`. Optional are the roots of the correlated
-parts of the covariance, row by row: `correlated` (5 x 5 doubles), beside it `correlated_height` (5 doubles)
-and `correlated_tilt` (5 x 2 doubles), and `shared` (5 x 8 doubles); the covariance of the white part in
+parts of the covariance, row by row: `correlated` (5 x 5 doubles), `map_errors` (5 x 6 doubles),
+`map_tilt` (5 x 2 doubles) and `shared` (5 x 8 doubles); the covariance of the white part in
 estimators that fuse frames, where it is larger, `fused_white` (5 x 5 doubles); and how well the rim was seen
 (doubles, all or none of them): `slope_contrast`, `found_share`, `arc_share`, `rms_px`, `outline_share`, see
 `RimQuality`. An optional value may be null for all rims of a frame.

@@ -3,7 +3,7 @@
 `layout` describes the columns. Rows of a frame are read in the order of the catalogue.
 """
 
-from collections.abc import Mapping, Sequence, Sized
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -15,7 +15,16 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import layout
 from craternav_fg.ellipse import half_sides
 from craternav_fg.errors import InputError
-from craternav_fg.measurements import SHARED_SIZE, ArcSet, FrameMeasurement, RimQuality, RimSet
+from craternav_fg.measurements import (
+    CORRELATED_SIZE,
+    MAP_SIZE,
+    SHARED_SIZE,
+    TILT_SIZE,
+    ArcSet,
+    FrameMeasurement,
+    RimQuality,
+    RimSet,
+)
 from craternav_fg.tables.parquet import filled, read_parquet, write_parquet
 from craternav_fg.tables.sizes import LARGEST
 from factors.arrays import BoolArray, FloatArray, IntArray
@@ -31,9 +40,14 @@ _RIMS = pa.schema(
     ]
 )
 # Roots of the correlated parts of the covariance, with their columns.
-_ROOTS = {"correlated": 5, "correlated_height": 1, "correlated_tilt": 2, "shared": SHARED_SIZE}
-# Columns of `RimSet.correlated` beyond those in the rim's plane.
-_BEYOND = {"correlated_height": slice(5, 6), "correlated_tilt": slice(6, 8)}
+_ROOTS = {
+    "correlated": CORRELATED_SIZE,
+    "map_errors": MAP_SIZE,
+    "map_tilt": TILT_SIZE,
+    "shared": SHARED_SIZE,
+}
+# Columns that make `RimSet.of_map`.
+_OF_MAP = ("map_errors", "map_tilt")
 _FUSED = "fused_white"
 _QUALITY = tuple(field.name for field in fields(RimQuality))
 _PART_SHAPES: dict[str, tuple[int, ...]] = {
@@ -50,6 +64,7 @@ _RIM_PARTS = pa.schema(
 # Present names of columns by the former ones.
 _FORMER_COLUMNS = {
     "persistent": "correlated",
+    "correlated_tilt": "map_tilt",
     "gain": "slope_contrast",
     "points": "points_normalised",
     "sigmas": "sigmas_normalised",
@@ -163,9 +178,9 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog, camera: Camera)
     for own in _rows_of_frames(path, rows, craters, len(stamps_ns)):
         seen = {name: part.values[own] for name, part in parts.items() if part.known[own].any()}
         here = {name: seen.pop(name) for name in _ROOTS if name in seen}
-        beyond = {name: here.pop(name) for name in _BEYOND if name in here}
-        if beyond and "correlated" in here:
-            here["correlated"] = np.concatenate([here["correlated"], _beyond(beyond, len(own))], axis=2)
+        of_map = [here.pop(name) for name in _OF_MAP if name in here]
+        if of_map:
+            here["of_map"] = np.concatenate(of_map, axis=2)
         fused = seen.pop(_FUSED, None)
         quality = RimQuality(**seen) if seen else None
         out.append(RimSet(craters[own], charts[own], covariances[own], quality, fused_white=fused, **here))
@@ -282,22 +297,15 @@ class _Part:
 
 
 def _root(rims: RimSet, name: str) -> FloatArray | None:
-    """Root (n, 5, m) of a part of the covariance as the file has it: errors of height and tilt apart."""
-    if name == "shared" or rims.correlated is None:
-        return rims.shared if name == "shared" else None
-    if name == "correlated":
-        return rims.correlated[:, :, :5]
-    part = rims.correlated[:, :, _BEYOND[name]]
-    return part if part.any() else None
-
-
-def _beyond(parts: Mapping[str, FloatArray], count: int) -> FloatArray:
-    """Roots (n, 5, 1 or 3) of the errors of heights and, if they are there, of tilts."""
-    wide = "correlated_tilt" in parts
-    out = np.zeros((count, 5, 3 if wide else 1))
-    for name, values in parts.items():
-        out[:, :, _BEYOND[name].start - 5 : _BEYOND[name].stop - 5] = values
-    return out
+    """Root (n, 5, m) of a part of the covariance as the file has it: errors of the map and tilts apart."""
+    if name not in _OF_MAP:
+        root: FloatArray | None = getattr(rims, name)
+        return root
+    if rims.of_map is None:
+        return None
+    begin = 0 if rims.of_map.shape[2] == TILT_SIZE else MAP_SIZE
+    part = rims.of_map[:, :, :begin] if name == "map_errors" else rims.of_map[:, :, begin:]
+    return part if part.shape[2] else None
 
 
 def _key_columns(

@@ -52,7 +52,7 @@ from craternav_fg.estimators.optimise import (
 from craternav_fg.estimators.point_features import FeatureStates
 from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors
 from craternav_fg.frames import rotate_position_block
-from craternav_fg.measurements import ArcSet, FrameMeasurement
+from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
 from factors.conic_shape import ChartError
 from factors.kernels.conic import project_rims
@@ -213,9 +213,14 @@ class BatchSmoother:
 
 def _solved_for(lm: LmOptions, problem: Problem, options: BatchOptions) -> LmOptions:
     """Use Cholesky factorisation for graphs with variables for the errors of rims, in which QR is slow."""
-    if options.rim_error_states is None or all(f.rims.correlated is None for f in problem.frames):
+    if options.rim_error_states is None or not any(_has_variables(f.rims) for f in problem.frames):
         return lm
     return replace(lm, cholesky=True, relative_tolerance=max(lm.relative_tolerance, CHOLESKY_TOLERANCE))
+
+
+def _has_variables(rims: RimSet) -> bool:
+    """Whether a variable of its own belongs to the errors of each crater."""
+    return rims.correlated is not None or rims.of_map is not None
 
 
 def _suspect(graph: FactorGraph, found: LmResult) -> bool:

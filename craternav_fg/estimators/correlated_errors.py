@@ -1,12 +1,12 @@
 """Time-correlated errors of rims as variables of the graph.
 
-A rim's image deviates from the prediction by the ground's deviation from an ellipse, by errors of the map and
-by the illumination. This error is nearly the same in the next frame, and less and less so as the rim is seen
-in another size and from another side. A measurement says how large this part is. Here it becomes a
-Gauss-Markov process of unit variance for each crater (`RimSet.correlated`) and one constant vector for what
-all rims of a descent share (`RimSet.shared`), arcs too (`ArcSet.shared`). Errors without such a variable are
-treated as white and their variance is inflated: those that the crater of an arc keeps, and all of them in
-estimators that have no such variables.
+A rim's image deviates from the prediction by the ground's deviation from an ellipse and by the illumination.
+This error is nearly the same in the next frame, and less and less so as the rim is seen in another size and
+from another side. A measurement says how large this part is. Here it becomes a Gauss-Markov process of unit
+variance for each crater (`RimSet.correlated`). An error of the map is the same in all frames: one constant
+vector for each crater (`RimSet.of_map`). So is what all rims of a descent share (`RimSet.shared`), arcs too
+(`ArcSet.shared`). Errors without such a variable are treated as white and their variance is inflated: those
+that the crater of an arc keeps, and all of them in estimators that have no such variables.
 
 The error of a rim's place drifts smoothly, as shading moves along a crest: its process is a Matern process
 of order 3/2, which has a derivative. If it had none, its drift from frame to frame would count as
@@ -16,20 +16,30 @@ derivatives of them, too, are likelier, but double the unknowns and hardly chang
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import gtsam
 import numpy as np
 
 from craternav_fg.ellipse import shape_change
 from craternav_fg.errors import EstimationError
-from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, FrameMeasurement, RimSet
+from craternav_fg.measurements import (
+    CORRELATED_SIZE,
+    MAP_SIZE,
+    SHARED_SIZE,
+    TILT_SIZE,
+    FrameMeasurement,
+    RimSet,
+)
 from factors.arrays import FloatArray
 from factors.conic_shape import ChartError
 from factors.kernels.compiled import njit
 
 ERROR_LETTER = "r"
-# Of the columns of `RimSet.correlated`, those that move a rim within its plane come first.
+# Of the columns of `RimSet.correlated`, those that displace a rim come first.
 PLACE_SIZE = 2
+# Letters of the error of a crater on the map, by its size: slopes alone, all but slopes, all.
+MAP_LETTERS = {TILT_SIZE: "t", MAP_SIZE: "e", MAP_SIZE + TILT_SIZE: "f"}
 # A variable of a crater: its error, then the derivatives of the error of its place.
 STATE_SIZE = CORRELATED_SIZE + PLACE_SIZE
 _ZERO, _UNIT = np.zeros(STATE_SIZE), gtsam.noiseModel.Unit.Create(STATE_SIZE)
@@ -54,12 +64,18 @@ class RimErrorOptions:
     decay_shape_change : float
         Change of a rim's image, see `ellipse.shape_change`, that is the scale of the correlation of its
         errors, see `correlation`. Fitted by `craternav_fg.calibration.correlated_errors`.
+    constant_place_share : float
+        Share of the variance of a crater's place on the map that is the same in all images. The rest changes
+        with the image, like the rim's own errors: heights vary along the rims of real craters, so that their
+        centres move as they are seen from other sides. With a map that is wrong but for that, 1 is right.
+        Chosen, see `craternav_fg.calibration`.
     step_shape_change : float
         Change below which the error is the same variable; 0 makes one for every rim of every frame. Within a
         step a rim's place drifts as the variable says, and its other errors are constant.
     """
 
     decay_shape_change: float = 0.8
+    constant_place_share: float = 0.5
     step_shape_change: float = 0.1
 
     def __post_init__(self) -> None:
@@ -67,6 +83,8 @@ class RimErrorOptions:
             raise EstimationError(
                 f"decay_shape_change: expected a positive number, found {self.decay_shape_change}"
             )
+        if not 0.0 <= self.constant_place_share <= 1.0:
+            raise EstimationError(f"constant_place_share: expected 0 to 1, found {self.constant_place_share}")
         if not 0.0 <= self.step_shape_change < np.inf:
             raise EstimationError(f"step_shape_change: expected 0 or more, found {self.step_shape_change}")
 
@@ -109,8 +127,8 @@ def transition(change: float, decay: float) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (8, 8)
-        F. Of the state, the first six entries are the errors, those of the place first, in units of their
+    ndarray, shape (7, 7)
+        F. Of the state, the first five entries are the errors, those of the place first, in units of their
         standard deviations; the last two are the derivatives of those of the place, likewise.
     """
     return transitions(np.array([change]), decay)[0][0]
@@ -129,7 +147,7 @@ def transitions(changes: FloatArray, decay: float) -> tuple[FloatArray, FloatArr
 
     Returns
     -------
-    F, W : ndarray, shape (n, 8, 8)
+    F, W : ndarray, shape (n, 7, 7)
         W is lower triangular, with W (1 - F F') W' = 1; not finite where nothing changes.
     """
     shape = len(changes), STATE_SIZE, STATE_SIZE
@@ -168,27 +186,34 @@ class RimErrorStates:
         self._renewed = renewed
         # Of each crater: its present variable, and the chart at which it is the error itself.
         self._rims: dict[int, tuple[int, FloatArray]] = {}
-        self._count = 0
+        # Of each crater: the variable of its error on the map.
+        self._of_map: dict[int, int] = {}
+        self._count = self._map_count = 0
         # Variables of the shared error so far, and the frames that involve the last one.
         self._shared = self._frames = 0
-        # What `take_back` returns to: counts, and the former entries of `_rims` that have changed.
-        self._counts = 0, 0, 0
-        self._former: dict[int, tuple[int, FloatArray] | None] = {}
+        # What `take_back` returns to: counts, and the former entries of both tables that have changed.
+        self._counts = 0, 0, 0, 0
+        self._former: list[tuple[dict[int, Any], int, Any]] = []
 
     def mark(self) -> None:
         """Note the present state: `take_back` returns to it."""
-        self._counts = self._count, self._shared, self._frames
+        self._counts = self._count, self._map_count, self._shared, self._frames
         self._former.clear()
 
     def take_back(self) -> None:
         """Forget the frames that have entered since `mark`."""
-        self._count, self._shared, self._frames = self._counts
-        for crater, track in self._former.items():
-            if track is None:
-                del self._rims[crater]
+        self._count, self._map_count, self._shared, self._frames = self._counts
+        for table, crater, former in reversed(self._former):
+            if former is None:
+                del table[crater]
             else:
-                self._rims[crater] = track
+                table[crater] = former
         self._former.clear()
+
+    def _note(self, table: dict[int, Any], crater: int, value: object) -> None:
+        """Change an entry of a table; `take_back` undoes it."""
+        self._former.append((table, crater, table.get(crater)))
+        table[crater] = value
 
     def enter(
         self,
@@ -213,9 +238,12 @@ class RimErrorStates:
         list of ChartError
             For the frame's factors.
         """
+        rims = rims.with_changing_place(1.0 - self._options.constant_place_share)
         out: list[ChartError] = []
         if rims.correlated is not None and len(rims):
             out.append(self._of_craters(rims, rims.correlated, graph, values, holds))
+        if rims.of_map is not None and len(rims):
+            out.append(self._of_maps(rims, rims.of_map, graph, values, holds))
         if rims.shared is not None and len(rims):
             out.append(ChartError([self._of_all(graph, values, holds)] * len(rims), rims.shared))
         return out
@@ -272,6 +300,29 @@ class RimErrorStates:
             graph.push_back(gtsam.PriorFactorVector(key, zero, unit))
         return key
 
+    def _of_maps(
+        self,
+        rims: RimSet,
+        roots: FloatArray,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        holds: Callable[[int], bool] | None,
+    ) -> ChartError:
+        """Go on with the errors of craters on the map, and begin those of new craters."""
+        size = roots.shape[2]
+        keys = []
+        for crater in rims.craters.tolist():
+            key = self._of_map.get(crater)
+            if key is None or not (holds is None or values.exists(key) or holds(key)):
+                key = int(gtsam.symbol(MAP_LETTERS[size], self._map_count))
+                self._map_count += 1
+                self._note(self._of_map, crater, key)
+                values.insert(key, np.zeros(size))
+                unit = gtsam.noiseModel.Unit.Create(size)
+                graph.push_back(gtsam.PriorFactorVector(key, np.zeros(size), unit))
+            keys.append(key)
+        return ChartError(keys, roots)
+
     def _of_craters(
         self,
         rims: RimSet,
@@ -297,16 +348,14 @@ class RimErrorStates:
         # Within a step a place drifts as the variable says.
         drift = np.where(ends[:, None, None], np.eye(PLACE_SIZE, STATE_SIZE), F[:, :PLACE_SIZE])
         roots = np.zeros((len(rims), 5, STATE_SIZE))
-        roots[:, :, : correlated.shape[2]] = correlated
-        roots[:, :, :PLACE_SIZE] = 0.0
+        roots[:, :, PLACE_SIZE:CORRELATED_SIZE] = correlated[:, :, PLACE_SIZE:]
         roots += correlated[:, :, :PLACE_SIZE] @ drift
         keys, point = [], gtsam.Values()
         for i, (crater, track) in enumerate(zip(craters, tracks, strict=True)):
             if track is None or ends[i]:
                 key = gtsam.symbol(ERROR_LETTER, self._count)
                 self._count += 1
-                self._former.setdefault(crater, self._rims.get(crater))
-                self._rims[crater] = key, rims.chart[i]
+                self._note(self._rims, crater, (key, rims.chart[i]))
                 values.insert(key, _ZERO)
                 if track is None:
                     graph.push_back(gtsam.PriorFactorVector(key, _ZERO, _UNIT))

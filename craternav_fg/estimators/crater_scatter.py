@@ -16,13 +16,15 @@ import numpy as np
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.linalg import squared_distance
-from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, FrameMeasurement
+from craternav_fg.measurements import CORRELATED_SIZE, MAP_SIZE, SHARED_SIZE, TILT_SIZE, FrameMeasurement
 from factors.arrays import FloatArray, IntArray
 from factors.kernels.conic import project_rims
 from factors.kernels.rim_errors import ground_slopes
 
 # Columns of `ground_slopes` that move a rim within its plane.
 _IN_PLANE = [0, 1, 3, 4, 5]
+# Columns of the roots of `RimSet.kept`, at most.
+_SIZES = (CORRELATED_SIZE, MAP_SIZE + TILT_SIZE, SHARED_SIZE)
 
 
 def variance_factors(
@@ -48,7 +50,7 @@ def variance_factors(
     -------
     dict of int to float
         Variance factors above 1 by row of the catalogue. Craters without one are as good as stated, or have
-        no time-correlated errors.
+        no errors that they keep.
 
     References
     ----------
@@ -73,27 +75,28 @@ def variance_factors(
 def _on_ground(
     frames: Sequence[FrameMeasurement], poses: Sequence[FloatArray], camera: Camera, catalog: Catalog
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Errors of all rims in their planes, in radii, with time-correlated parts.
+    """Errors of all rims in their planes, in radii, with what their craters keep.
 
     Returns
     -------
-    craters, errors, roots, white : ndarray, shapes (n,), (n, 5), (n, 5, 16), (n, 5, 5)
-        Roots of the time-correlated and the shared parts of the covariance, and its white part.
+    craters, errors, roots, white : ndarray, shapes (n,), (n, 5), (n, 5, 21), (n, 5, 5)
+        Roots of the parts of the covariance that are not white, see `RimSet.kept`, and its white part.
     """
     parts = []
     for frame, gTb in zip(frames, poses, strict=True):
         rims, pose = frame.rims, np.ascontiguousarray(gTb)
-        if rims.correlated is None:
+        if rims.correlated is None and rims.of_map is None:
             continue
         centres, axes = catalog.centres[rims.craters], catalog.axes[rims.craters]
         charts, seen = project_rims(pose, camera.bTc, centres, axes)
         slopes = ground_slopes(pose, camera.bTc, centres, axes)[seen][:, :, _IN_PLANE]
         inverse = np.linalg.inv(slopes)
         # Frames may differ in the parts that they state.
-        roots = np.zeros((int(seen.sum()), 5, CORRELATED_SIZE + SHARED_SIZE))
-        roots[:, :, : rims.correlated.shape[2]] = rims.correlated[seen]
-        if rims.shared is not None:
-            roots[:, :, CORRELATED_SIZE:] = rims.shared[seen]
+        roots = np.zeros((int(seen.sum()), 5, sum(_SIZES)))
+        for A, end in zip(rims.kept, np.cumsum(_SIZES).tolist(), strict=True):
+            if A is not None:
+                # From the end: the slopes of a rim's plane may stand alone.
+                roots[:, :, end - A.shape[2] : end] = A[seen]
         white = rims.fused_white_covariance[seen]
         parts.append(
             (

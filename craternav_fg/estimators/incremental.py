@@ -12,7 +12,7 @@ import gtsam
 import numpy as np
 
 from craternav_fg.errors import EstimationError
-from craternav_fg.estimators.correlated_errors import ERROR_LETTER, SHARED_LETTER, STATE_SIZE
+from craternav_fg.estimators.correlated_errors import ERROR_LETTER, MAP_LETTERS, SHARED_LETTER, STATE_SIZE
 from craternav_fg.linalg import whitening
 from craternav_fg.measurements import SHARED_SIZE
 from factors.arrays import FloatArray
@@ -29,6 +29,7 @@ RELINEARISE_STEPS = {
     "x": np.array([5e-4, 5e-4, 5e-4, RELINEARISE_M, RELINEARISE_M, RELINEARISE_M]),
     "v": np.full(3, 1.0),
     "r": np.full(STATE_SIZE, 1e3),
+    **{letter: np.full(size, 1e3) for size, letter in MAP_LETTERS.items()},
     "s": np.full(SHARED_SIZE, 1e3),
     "b": np.array([1e-2, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4]),
     "c": np.array([5e-5, 5e-5, 5e-5, 0.1, 0.1, 0.1]),
@@ -41,11 +42,10 @@ INDEX_MASK = (1 << INDEX_BITS) - 1
 # Letters of variables that belong to one state; others, such as the mounting, belong to all of them.
 POSE = "x"
 STATE_LETTERS = (POSE, "v", "b")
-# Time-correlated errors of one rim and of all rims.
-RIM_ERRORS = (ord(ERROR_LETTER), ord(SHARED_LETTER))
-# Letters of variables that several states share: time-correlated errors of one rim and of all rims, tracked
-# points, biases of sensors.
-SHARED_LETTERS = ("r", "s", POINT, *SENSOR_BIASES)
+# Errors of one rim, of one crater on the map, and of all rims.
+RIM_ERRORS = tuple(map(ord, (ERROR_LETTER, *MAP_LETTERS.values(), SHARED_LETTER)))
+# Letters of variables that several states share: errors of rims, tracked points, biases of sensors.
+SHARED_LETTERS = (ERROR_LETTER, *MAP_LETTERS.values(), SHARED_LETTER, POINT, *SENSOR_BIASES)
 # Letters of variables whose tree can be replaced. Errors of rims are not handed on: those of all rims that
 # may be seen again would make one dense factor, dearer than the whole tree; without them the present state
 # would seem not to rest on rims that they spoilt.

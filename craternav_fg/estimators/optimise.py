@@ -12,7 +12,7 @@ import gtsam
 import numpy as np
 
 from craternav_fg.errors import EstimationError
-from craternav_fg.estimators.correlated_errors import STATE_SIZE
+from craternav_fg.estimators.correlated_errors import MAP_LETTERS, STATE_SIZE
 from craternav_fg.estimators.elimination import CholeskyOrder
 from craternav_fg.measurements import SHARED_SIZE
 from factors.arrays import FloatArray
@@ -27,6 +27,7 @@ STEP_SCALES: dict[str, FloatArray] = {
     "v": np.full(3, 5.0),
     "c": np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1]),
     "r": np.full(STATE_SIZE, 1.0),
+    **{letter: np.full(size, 1.0) for size, letter in MAP_LETTERS.items()},
     "s": np.full(SHARED_SIZE, 1.0),
     "l": np.full(3, 1e3),
     "k": np.full(4, 1.0),

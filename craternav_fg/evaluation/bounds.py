@@ -111,8 +111,8 @@ def posterior_bound(
     truth : Trajectory
         At the frames' stamps, with the true biases.
     rim_errors : RimErrorOptions, optional
-        Decay of the correlation of time-correlated errors; the steps in which smoothers approximate it are
-        not used.
+        Decay of the correlation of time-correlated errors, and what is constant of the map's; the steps in
+        which smoothers approximate it are not used.
 
     Returns
     -------
@@ -195,8 +195,12 @@ class _AugmentedState:
         tracks: TrackInformation | None,
     ) -> None:
         self._decay = options.decay_shape_change
+        self.changing_place = 1.0 - options.constant_place_share
         self._seen = [_kept(frame) for frame in frames]
         self._last = {crater: k for k, seen in enumerate(self._seen) for crater in seen}
+        # Of each crater: what changes with its image, then the error of the map.
+        of_maps = (0 if frame.rims.of_map is None else frame.rims.of_map.shape[2] for frame in frames)
+        self._of_crater = STATE_SIZE + max(of_maps, default=0)
         self.of_rims = SHARED_SIZE if any(frame.rims.shared is not None for frame in frames) else 0
         self._shared = self.of_rims + biases
         self._charts: dict[int, FloatArray] = {}
@@ -208,15 +212,16 @@ class _AugmentedState:
     @property
     def size(self) -> int:
         """Dimension of the state with the further unknowns."""
-        return _SIZE + self._shared + STATE_SIZE * len(self.first) + POINT_SIZE * len(self.first_of_point)
+        craters, points = len(self.first), len(self.first_of_point)
+        return _SIZE + self._shared + self._of_crater * craters + POINT_SIZE * points
 
     def _enter(self, k: int) -> None:
         """Begin with the craters and points of frame k, and keep those that will be seen again."""
         charts = {**self._charts, **self._seen[k]}
         self._charts = {crater: chart for crater, chart in charts.items() if self._last[crater] >= k}
         begin = _SIZE + self._shared
-        self.first = {crater: begin + STATE_SIZE * i for i, crater in enumerate(self._charts)}
-        begin += STATE_SIZE * len(self.first)
+        self.first = {crater: begin + self._of_crater * i for i, crater in enumerate(self._charts)}
+        begin += self._of_crater * len(self.first)
         alive = [] if self._tracks is None else self._tracks.alive(k)
         self.first_of_point = {track: begin + POINT_SIZE * i for i, track in enumerate(alive)}
 
@@ -229,12 +234,13 @@ class _AugmentedState:
         for j in range(_SIZE, _SIZE + self._shared):
             whole[j, j] = 1.0
         for crater, row in self.first.items():
-            own = slice(row, row + STATE_SIZE)
-            noise[own, own] = np.eye(STATE_SIZE)
+            own = slice(row, row + self._of_crater)
+            noise[own, own] = np.eye(self._of_crater)
             if crater in columns:
                 change = float(shape_change(before[crater], self._charts[crater]))
-                of_crater = transition_of_errors(change, self._decay)
-                whole[own, columns[crater] : columns[crater] + STATE_SIZE] = of_crater
+                of_crater = np.eye(self._of_crater)
+                of_crater[:STATE_SIZE, :STATE_SIZE] = transition_of_errors(change, self._decay)
+                whole[own, columns[crater] : columns[crater] + self._of_crater] = of_crater
                 noise[own, own] -= of_crater @ of_crater.T
         for track, row in self.first_of_point.items():
             for j in range(row, row + POINT_SIZE):
@@ -246,8 +252,8 @@ class _AugmentedState:
 
 
 def _kept(frame: FrameMeasurement) -> dict[int, FloatArray]:
-    """Charts (5,) of those craters that have time-correlated errors."""
-    if frame.rims.correlated is None:
+    """Charts (5,) of those craters whose errors are unknowns."""
+    if frame.rims.correlated is None and frame.rims.of_map is None:
         return {}
     return dict(zip(frame.rims.craters.tolist(), frame.rims.chart, strict=True))
 
@@ -258,7 +264,7 @@ def _information(
     """Information of a frame on the augmented state."""
     camera, catalog = descent.camera, descent.catalog
     frame = with_predicted_covariances(frame, gTb, camera, catalog)
-    rims = frame.rims
+    rims = frame.rims.with_changing_place(augmented.changing_place)
     white = replace(rims, covariance=rims.fused_white_covariance)
     A, _, usable = linearise_rims(gTb, white, camera, catalog, model="chart", noise="measured")
     W = whitening(white.covariance)
@@ -266,9 +272,10 @@ def _information(
     for i in np.flatnonzero(usable):
         J = np.zeros((5, augmented.size))
         J[:, _POSE] = A[i] * sigmas[_POSE]
-        if rims.correlated is not None:
-            first = augmented.first[int(rims.craters[i])]
-            J[:, first : first + rims.correlated.shape[2]] = W[i] @ rims.correlated[i]
+        first = augmented.first.get(int(rims.craters[i]), 0)
+        for root, begin in ((rims.correlated, first), (rims.of_map, first + STATE_SIZE)):
+            if root is not None:
+                J[:, begin : begin + root.shape[2]] = W[i] @ root[i]
         if rims.shared is not None:
             J[:, _SIZE : _SIZE + SHARED_SIZE] = W[i] @ rims.shared[i]
         rows.append(J)

@@ -1,4 +1,4 @@
-"""Errors of the map in measured rims: added where a file lacks them, taken out where they are unknowns."""
+"""Errors of the map in measured rims, added where a file lacks them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -17,14 +17,10 @@ from craternav_fg.vision.error_model.correlated import (
     CorrelatedErrorOptions,
     map_covariance,
     map_variances,
-    without_map,
 )
-from factors.arrays import FloatArray, IntArray
+from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.kernels.conic import project_rims
 from factors.kernels.rim_errors import ground_slopes
-
-# Columns of `ground_slopes` in the order of `RimSet.correlated`: in the rim's plane, then the height.
-_COLUMNS = [0, 1, 3, 4, 5, 2]
 
 
 def lack_map_errors(frames: Sequence[FrameMeasurement], catalog: Catalog) -> bool:
@@ -42,7 +38,7 @@ def lack_map_errors(frames: Sequence[FrameMeasurement], catalog: Catalog) -> boo
     every = np.arange(len(catalog))
     return (
         catalog.errors is not None
-        and all(frame.rims.correlated is None for frame in frames)
+        and all(frame.rims.correlated is None and frame.rims.of_map is None for frame in frames)
         and bool(_variances(every, catalog).any())
     )
 
@@ -74,10 +70,10 @@ def with_white_map_errors(
 def with_map_errors(
     frames: Sequence[FrameMeasurement], problems: Sequence[Problem]
 ) -> tuple[FrameMeasurement, ...]:
-    """Add the catalogue's errors to rims and arcs as what their craters keep.
+    """Add the catalogue's errors to rims and arcs.
 
-    Covariances that are large enough to hold these errors already are only split. Arcs that state what their
-    points have in common are left as they are.
+    Where most covariances are large enough to hold these errors already, such ones are only split. Arcs that
+    state what their points have in common are left as they are.
 
     Parameters
     ----------
@@ -98,59 +94,21 @@ def with_map_errors(
         return with_white_map_errors(frames, catalog)
     roots = [_roots(frame, poses, camera, catalog) for frame in frames]
     held = [_held(frame.rims, root) for frame, root in zip(frames, roots, strict=True)]
-    added = np.mean(np.concatenate([*held, [0.0]])) <= 0.5
+    if np.mean(np.concatenate([*held, [False]])) <= 0.5:
+        held = [np.zeros_like(one) for one in held]
     return tuple(
         replace(
             frame,
             arcs=_with_common_sigmas(frame.arcs, poses[frame.stamp_ns], camera, catalog),
             rims=replace(
                 frame.rims,
-                covariance=frame.rims.covariance + added * (root @ np.swapaxes(root, 1, 2)),
-                correlated=root,
+                covariance=frame.rims.covariance
+                + np.where(one, 0.0, 1.0)[:, None, None] * (root @ np.swapaxes(root, 1, 2)),
+                of_map=root,
             ),
         )
-        for frame, root in zip(frames, roots, strict=True)
+        for frame, root, one in zip(frames, roots, held, strict=True)
     )
-
-
-def without_map_errors(
-    frames: Sequence[FrameMeasurement], problems: Sequence[Problem], options: CorrelatedErrorOptions
-) -> tuple[FrameMeasurement, ...]:
-    """Take the catalogue's errors out of rims that hold them as what their craters keep.
-
-    For estimators that have variables for them. Arcs have none, and keep theirs.
-
-    Parameters
-    ----------
-    frames : sequence of FrameMeasurement
-    problems : sequence of Problem
-        With the same frames.
-    options : CorrelatedErrorOptions
-        Those with which the rims were measured.
-
-    Returns
-    -------
-    tuple of FrameMeasurement
-        As they are, where the filter does not find poses.
-    """
-    camera, catalog = problems[0].camera, problems[0].catalog
-    if not map_variances(np.arange(len(catalog)), catalog, options).any():
-        return tuple(frames)
-    try:
-        poses = filtered_poses(problems)
-    except (EstimationError, *NUMERICAL_ERRORS):
-        return tuple(frames)
-
-    def freed(frame: FrameMeasurement) -> FrameMeasurement:
-        rims = frame.rims
-        if rims.correlated is None or not len(rims):
-            return frame
-        gTb = np.ascontiguousarray(poses[frame.stamp_ns])
-        left = without_map(rims.correlated, rims.craters, gTb, camera, catalog, options)
-        taken = rims.correlated @ np.swapaxes(rims.correlated, 1, 2) - left @ np.swapaxes(left, 1, 2)
-        return replace(frame, rims=replace(rims, covariance=rims.covariance - taken, correlated=left))
-
-    return tuple(map(freed, frames))
 
 
 def _variances(rows: IntArray, catalog: Catalog) -> FloatArray:
@@ -185,11 +143,11 @@ def filtered_poses(problems: Sequence[Problem]) -> dict[int, FloatArray]:
 def _roots(
     frame: FrameMeasurement, poses: Mapping[int, FloatArray], camera: Camera, catalog: Catalog
 ) -> FloatArray:
-    """Roots (n, 5, 6) of the errors that craters keep."""
+    """Roots (n, 5, 6) of the errors of a frame's craters on the map."""
     rows = frame.rims.craters
     gTb = np.ascontiguousarray(poses[frame.stamp_ns])
     slopes = ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
-    return np.asarray((slopes * np.sqrt(_variances(rows, catalog))[:, None])[:, :, _COLUMNS])
+    return np.asarray(slopes * np.sqrt(_variances(rows, catalog))[:, None])
 
 
 def _with_common_sigmas(arcs: ArcSet, gTb: FloatArray, camera: Camera, catalog: Catalog) -> ArcSet:
@@ -202,9 +160,9 @@ def _with_common_sigmas(arcs: ArcSet, gTb: FloatArray, camera: Camera, catalog: 
     return replace(arcs, correlated_sigmas=np.array(list(map(across_sigma, arcs.points, charts, of_map))))
 
 
-def _held(rims: RimSet, root: FloatArray) -> FloatArray:
+def _held(rims: RimSet, root: FloatArray) -> BoolArray:
     """Whether (n,) covariances are larger than the errors whose root is given, in each direction."""
     if not len(rims):
-        return np.zeros(0)
+        return np.zeros(0, dtype=np.bool_)
     whitened = np.linalg.solve(np.linalg.cholesky(rims.covariance), root)
     return np.asarray(np.linalg.norm(whitened, ord=2, axis=(1, 2)) < 1.0)

@@ -19,7 +19,6 @@ from craternav_fg.pipeline.map_errors import (
     lack_map_errors,
     with_map_errors,
     with_white_map_errors,
-    without_map_errors,
 )
 from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.rim_planes import heights_of_points, lowered_to_planes
@@ -96,10 +95,6 @@ class Prepared:
         With the catalogue that the problems have.
     measured : Measured
         With the errors of the map.
-    read : tuple of FrameMeasurement
-        The frames as they were measured.
-    lacking : bool
-        Whether these lack the errors that the catalogue states, see `lack_map_errors`.
     problems : tuple of Problem
         One for each segment.
     lowered : bool
@@ -112,8 +107,6 @@ class Prepared:
     relocaliser: Relocaliser
     descent: Descent
     measured: Measured
-    read: tuple[FrameMeasurement, ...]
-    lacking: bool
     problems: tuple[Problem, ...]
     lowered: bool
     wrong_craters: Mapping[int, int] = field(default_factory=dict)
@@ -125,14 +118,7 @@ class Prepared:
         -------
         tuple of FrameMeasurement
         """
-        if self.lacking:
-            # Only rims have variables for the errors of the map.
-            return tuple(
-                replace(frame, rims=read.rims)
-                for frame, read in zip(self.measured.frames, self.read, strict=True)
-            )
-        limits = self.measured.limits or GuidedOptions()
-        return without_map_errors(self.measured.frames, self.problems, limits.correlated_errors)
+        return tuple(replace(frame, rims=frame.rims.with_exact_map()) for frame in self.measured.frames)
 
 
 @dataclass(frozen=True)
@@ -216,7 +202,7 @@ class Measuring:
         if lowered:
             descent = replace(descent, catalog=lowered_to_planes(descent.catalog))
             problems = measured.problems(descent)
-        return Prepared(dataset, relocaliser, descent, measured, read, lacking, problems, lowered, wrong)
+        return Prepared(dataset, relocaliser, descent, measured, problems, lowered, wrong)
 
     def _measured(self, dataset: Dataset, relocaliser: Relocaliser) -> Measured:
         """Take the data set's measurements, or measure its images."""

@@ -213,13 +213,12 @@ class GuidedFrontEnd:
         more = keep & (fitted.quality.arc_share >= self.options.full_arc_share)
         keep = more if np.count_nonzero(more) >= _MIN_AGREEING_RIMS else keep
         rows = rows[keep]
-        covariance, correlated, shared, fused_white = split(
+        parts = split(
             errors.take(keep), factor, rows, pose, frame.sun_g, self.camera, self.catalog,
             self.options.correlated_errors,
         )  # fmt: skip
-        rims = RimSet(
-            rows, charts[keep], covariance, fitted.quality.take(keep), correlated, shared, fused_white
-        )
+        covariance, *kept = parts
+        rims = RimSet(rows, charts[keep], covariance, fitted.quality.take(keep), *kept)
         return _Result(rims, pose, spread, expected)
 
     def _arcs(self, frame: _Frame, fitter: RimFitter, result: _Result) -> ArcSet:

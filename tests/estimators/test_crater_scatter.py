@@ -12,7 +12,7 @@ from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.crater_scatter import variance_factors, with_variance_factors
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.metrics import errors, nees
-from craternav_fg.measurements import SHARED_SIZE
+from craternav_fg.measurements import MAP_SIZE, SHARED_SIZE
 from craternav_fg.trajectory import Trajectory
 from factors.kernels.rim_errors import ground_slopes
 from tests.descents import problem, scenario
@@ -91,7 +91,7 @@ def test_what_all_rims_share_explains_a_crater(descents: list[tuple[Problem, Tra
 
 
 def test_frames_may_state_other_parts_of_the_covariance(descents: list[tuple[Problem, Trajectory]]) -> None:
-    """A file may have the shared part for some of its frames, and roots of five columns or six."""
+    """A file may have the shared part for some of its frames, and errors of the map for some."""
     p, truth = descents[0]
     row = int(p.frames[0].rims.craters[0])
     moved = with_kept_errors(p, truth, {row: np.array([8.0 * KEPT, 0.0])})
@@ -99,8 +99,8 @@ def test_frames_may_state_other_parts_of_the_covariance(descents: list[tuple[Pro
     for k, frame in enumerate(moved.frames):
         rims = frame.rims
         if k % 2 and rims.correlated is not None:
-            wider = np.concatenate([rims.correlated, np.zeros((len(rims), 5, 1))], axis=2)
-            rims = replace(rims, correlated=wider, shared=np.zeros((len(rims), 5, SHARED_SIZE)))
+            of_map, shared = (np.zeros((len(rims), 5, size)) for size in (MAP_SIZE, SHARED_SIZE))
+            rims = replace(rims, of_map=of_map, shared=shared)
         mixed.append(replace(frame, rims=rims))
     alike, others = (
         variance_factors(frames, list(truth.gTb), p.camera, p.catalog, 4.0)

@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 
 from craternav_fg.estimators.correlated_errors import RimErrorOptions, RimErrorStates
-from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, RimSet
+from craternav_fg.measurements import CORRELATED_SIZE, MAP_SIZE, SHARED_SIZE, RimSet
 
 
 def test_a_frame_that_is_taken_back_has_left_nothing() -> None:
@@ -13,7 +13,9 @@ def test_a_frame_that_is_taken_back_has_left_nothing() -> None:
         roots = np.tile(np.eye(5, CORRELATED_SIZE), (len(sizes), 1, 1))
         shared = np.zeros((len(sizes), 5, SHARED_SIZE))
         covariances = np.tile(2.0 * np.eye(5), (len(sizes), 1, 1))
-        return RimSet(np.array(list(sizes)), charts, covariances, correlated=roots, shared=shared)
+        of_map = np.tile(0.1 * np.eye(5, MAP_SIZE), (len(sizes), 1, 1))
+        craters = np.array(list(sizes))
+        return RimSet(craters, charts, covariances, correlated=roots, of_map=of_map, shared=shared)
 
     def entered(*, failing: bool) -> list[tuple[list[int], list[float]]]:
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()

@@ -59,11 +59,11 @@ def test_covariances_that_hold_the_errors_of_the_map_are_not_enlarged(data: Data
     assert data.measurements is not None
     once = reconstruct(data, ["dead_reckoning"])
     assert not lack_map_errors(once.frames, data.catalog)
-    whole = tuple(replace(one, rims=replace(one.rims, correlated=None)) for one in once.frames)
+    whole = tuple(replace(one, rims=replace(one.rims, of_map=None)) for one in once.frames)
     assert lack_map_errors(whole, data.catalog)
     again = reconstruct(replace(data, measurements=whole), ["dead_reckoning"])
     for first, second, read in zip(once.frames, again.frames, data.measurements, strict=True):
-        assert second.rims.correlated is not None
+        assert second.rims.of_map is not None
         np.testing.assert_array_equal(second.rims.covariance, first.rims.covariance)
         assert (np.linalg.eigvalsh(first.rims.covariance - read.rims.covariance) > -1e-12).all()
 

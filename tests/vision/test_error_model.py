@@ -70,7 +70,8 @@ def test_correlated_and_shared_parts_leave_a_white_rest(view):
     quiet = CorrelatedErrorOptions(
         camera_shift_px=0.0, sun_shift_px=0.0, stretch_px=0.0, stretch_share=0.0, size_px=0.0, size_share=0.0
     )
-    covariance, correlated, shared, _ = split(errors, 1.0, np.arange(count), *view, quiet)
+    covariance, correlated, of_map, shared, _ = split(errors, 1.0, np.arange(count), *view, quiet)
+    assert of_map is None
     np.testing.assert_allclose(covariance, errors.covariance, rtol=0.0, atol=1e-18)
     rest = covariance - correlated @ np.swapaxes(correlated, 1, 2) - shared @ np.swapaxes(shared, 1, 2)
     assert np.linalg.eigvalsh(rest)[:, 0].min() > 0.9e-8
@@ -84,12 +85,13 @@ def test_errors_of_the_map_are_added_and_stay_with_their_craters(view):
     """A shift of a crater by a sigma of the map changes its chart by a sigma of what is added."""
     count = len(view[3])
     options = CorrelatedErrorOptions(map_place_share=0.05, map_size_share=0.02)
-    covariance, correlated, *_ = split(claimed(count), 1.0, np.arange(count), *view, options)
-    without, kept, *_ = split(claimed(count), 1.0, np.arange(count), *view, CorrelatedErrorOptions())
-    added = covariance - without
-    np.testing.assert_allclose(
-        added, correlated @ np.swapaxes(correlated, 1, 2) - kept @ np.swapaxes(kept, 1, 2), atol=1e-17
-    )
+    parts = split(claimed(count), 1.0, np.arange(count), *view, options)
+    without = split(claimed(count), 1.0, np.arange(count), *view, CorrelatedErrorOptions())
+    added = parts.covariance - without.covariance
+    assert parts.of_map is not None
+    np.testing.assert_allclose(added, parts.of_map @ np.swapaxes(parts.of_map, 1, 2), atol=1e-17)
+    for name in ("correlated", "shared", "fused_white"):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(without, name))
     gTb, _, camera, catalog = view
     radius_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
     place, size, cos = 0.05 * radius_m, 0.02, np.cos(catalog.latitude_rad)
@@ -131,7 +133,7 @@ def test_errors_that_the_catalogue_states_are_added_crater_by_crater(view):
     stated = dataclasses.replace(catalog, errors=MapErrors(none, none, height))
     options = CorrelatedErrorOptions()
     rows = np.arange(count)
-    covariance, correlated, *_ = split(claimed(count), 1.0, rows, gTb, sun, camera, stated, options)
+    covariance, correlated, of_map, *_ = split(claimed(count), 1.0, rows, gTb, sun, camera, stated, options)
     without, kept, *_ = split(claimed(count), 1.0, rows, *view, options)
     added = covariance - without
     assert np.abs(np.delete(added, 3, axis=0)).max() < 1e-18
@@ -140,8 +142,8 @@ def test_errors_that_the_catalogue_states_are_added_crater_by_crater(view):
     step = charts[1] - charts[0]
     np.testing.assert_allclose(added[3], np.outer(step, step), rtol=0.1, atol=0.02 * np.max(step**2))
     # It stays with the crater, in a direction of its own.
-    np.testing.assert_allclose(correlated[3, :, 5], step, rtol=0.05, atol=0.02 * np.max(np.abs(step)))
-    np.testing.assert_allclose(correlated[:, :, :5], kept[:, :, :5], rtol=1e-12)
+    np.testing.assert_allclose(of_map[3, :, 2], step, rtol=0.05, atol=0.02 * np.max(np.abs(step)))
+    np.testing.assert_array_equal(correlated, kept)
     placed = dataclasses.replace(catalog, errors=MapErrors(0.05 * radius(catalog), none + 0.02, none))
     shares = CorrelatedErrorOptions(map_place_share=0.05, map_size_share=0.02)
     told, *_ = split(claimed(count), 1.0, rows, gTb, sun, camera, placed, options)
@@ -154,20 +156,22 @@ def test_slopes_that_the_catalogue_does_not_state_are_unknown(view):
     gTb, sun, camera, catalog = view
     rows, options = np.arange(len(catalog)), CorrelatedErrorOptions()
     silent = dataclasses.replace(catalog, plane_tilt_rad=None)
-    told, kept, *_ = split(claimed(len(rows)), 1.0, rows, *view, options)
-    covariance, correlated, *_ = split(claimed(len(rows)), 1.0, rows, gTb, sun, camera, silent, options)
-    assert (kept.shape[2], correlated.shape[2]) == (6, 8)
-    np.testing.assert_allclose(correlated[:, :, :6], kept, rtol=1e-9, atol=1e-16)
+    told, kept, exact_map, *_ = split(claimed(len(rows)), 1.0, rows, *view, options)
+    assert exact_map is None
+    covariance, correlated, tilts, *_ = split(
+        claimed(len(rows)), 1.0, rows, gTb, sun, camera, silent, options
+    )
+    assert tilts.shape == (len(rows), 5, 2)
+    np.testing.assert_allclose(correlated, kept, rtol=1e-9, atol=1e-16)
     before = project_rims(gTb, camera.bTc, catalog.centres, catalog.axes)[0]
     for direction in np.eye(2):
         slopes = np.tile(np.arctan(options.map_tilt_rad * direction), (len(rows), 1))
         tilted = dataclasses.replace(catalog, plane_tilt_rad=slopes)
         step = project_rims(gTb, camera.bTc, tilted.centres, tilted.axes)[0] - before
         # East and north lie somewhere between the semi-axes.
-        tilts = correlated[:, :, 6:]
         left = step - np.einsum("nij,nj->ni", tilts, _solved(tilts, step))
         assert np.abs(left).max() < 0.05 * np.abs(step).max()
-    added = correlated[:, :, 6:] @ np.swapaxes(correlated[:, :, 6:], 1, 2)
+    added = tilts @ np.swapaxes(tilts, 1, 2)
     np.testing.assert_allclose(covariance - told, added, atol=1e-17)
     known = CorrelatedErrorOptions(map_tilt_rad=0.0)
     exact, *_ = split(claimed(len(rows)), 1.0, rows, gTb, sun, camera, silent, known)
@@ -188,11 +192,11 @@ def test_scatter_of_a_frame_adds_white_variance_for_estimators_alone(view):
     errors, options = claimed(len(rows)), CorrelatedErrorOptions()
     told = {factor: split(errors, factor, rows, *view, options) for factor in (1.0, 1.5, 3.0, 30.0)}
     for parts in told.values():
-        for part, same in zip(parts[:3], told[1.0], strict=False):
-            np.testing.assert_array_equal(part, same)
-    covariance, correlated, shared, fused = told[1.0]
+        for name in ("covariance", "correlated", "shared"):
+            np.testing.assert_array_equal(getattr(parts, name), getattr(told[1.0], name))
+    covariance, correlated, _, shared, fused = told[1.0]
     white = covariance - sum(A @ np.swapaxes(A, 1, 2) for A in (correlated, shared))
     np.testing.assert_allclose(fused, white, rtol=1e-9, atol=1e-18)
     added = options.excess_white_share * 0.5 * errors.systematic
-    np.testing.assert_allclose(told[1.5][3] - white, added, rtol=1e-9, atol=1e-18)
-    np.testing.assert_array_equal(told[30.0][3], told[3.0][3])
+    np.testing.assert_allclose(told[1.5].fused_white - white, added, rtol=1e-9, atol=1e-18)
+    np.testing.assert_array_equal(told[30.0].fused_white, told[3.0].fused_white)

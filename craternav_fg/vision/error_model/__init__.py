@@ -28,9 +28,9 @@ In one image, for all its rims:
    covariances if the rims scatter more about one common pose than they claim: on rough terrain all rims are
    worse than their own edge points show.
 6. Correlation. `error_model.correlated.split`, applied by `GuidedFrontEnd`, separates the part of the
-   systematic error that a crater keeps (`RimSet.correlated`), adds to it the errors that the catalogue states
-   (`catalogs.map_errors`, with that of the rim's height) and the errors that all rims share
-   (`RimSet.shared`), and leaves the rest white: the ground under a crater is the same in the next frame, so
+   systematic error that a crater keeps (`RimSet.correlated`), adds the errors that the catalogue states
+   (`RimSet.of_map`, see `catalogs.map_errors`) and the errors that all rims share (`RimSet.shared`), and
+   leaves the rest white: the ground under a crater is the same in the next frame, so
    its error does not average out. `RimSet.fused_white` is for the estimators alone: the covariance of a
    rim says what it errs, but rims that scatter more than they claim err alike with their neighbours.
 
@@ -48,8 +48,10 @@ In an estimator:
 9. Craters that contradict the others. `estimators.crater_scatter`, applied by the batch smoother, enlarges
    the variances of craters whose rims err by more than they state, as in a distribution with heavy tails.
 10. Variables or inflation. `estimators.correlated_errors.RimErrorStates` makes the time-correlated part a
-   Gauss-Markov process per crater and the shared part one constant vector. Estimators without such variables
-   call `RimSet.inflate_correlated`: the correlated parts count as white, with a larger variance.
+   Gauss-Markov process per crater, the error of the map a constant vector per crater, and the shared part one
+   constant vector. Half of the variance of a place on the map changes like the rim's own errors
+   (`RimSet.with_changing_place`). Estimators without such variables call `RimSet.inflate_correlated`: these
+   parts count as white, with a larger variance.
 11. Factor. `estimators.graph.add_frame` whitens with what is left, `RimSet.fused_white_covariance` or the
    inflated covariance, in `factors.conic_shape`; its robust loss bounds the influence of wrong matches.
 

@@ -10,6 +10,7 @@ or too small.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from factors.kernels.rim_errors import ground_slopes, tilt_slopes
 
 # Columns of `ground_slopes` that move a rim within its plane: shifts along l1 and l2, growth along l1, shear,
 # growth along l2. The other column is a shift along the normal.
-_IN_PLANE, _HEIGHT = [0, 1, 3, 4, 5], 2
+_IN_PLANE = [0, 1, 3, 4, 5]
 # Columns of shared errors that make all rims larger.
 _GROWTH = [5, 6]
 # Largest excess of a frame's variance factor over 1 for which white variance is added. The systematic
@@ -36,8 +37,6 @@ _MAX_EXCESS = 2.0
 # errors is larger by 20 with the square of the inverse for shifts than with the inverse, whether from 0.5 or
 # 0.8 on; for growths the square makes it smaller.
 _WEAK_CONTRAST, _WEAK_CONTRAST_OF_SHIFTS, _LEAST_CONTRAST = 1.0, 0.6, 0.1
-# Share of a variance that is left where all of it is taken away, so that roots exist.
-_LEAST_LEFT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -109,6 +108,26 @@ class CorrelatedErrorOptions:
     map_tilt_rad: float = 0.04
 
 
+class SplitErrors(NamedTuple):
+    """Parts of the errors of a frame's rims, with the covariance of the whole.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (n, 5, 5)
+        Covariance of the whole error.
+    correlated, of_map, shared : ndarray, shapes (n, 5, 5), (n, 5, m), (n, 5, 8)
+        Roots of its parts, see `RimSet`; `of_map` is None where the map counts as exact.
+    fused_white : ndarray, shape (n, 5, 5)
+        See `RimSet`.
+    """
+
+    covariance: FloatArray
+    correlated: FloatArray
+    of_map: FloatArray | None
+    shared: FloatArray
+    fused_white: FloatArray
+
+
 def map_variances(rows: IntArray, catalog: Catalog, options: CorrelatedErrorOptions) -> FloatArray:
     """Variances of craters' errors on the map: those that the catalogue states, and those of the options.
 
@@ -133,10 +152,10 @@ def map_variances(rows: IntArray, catalog: Catalog, options: CorrelatedErrorOpti
     return out if catalog.errors is None else out + catalog.errors.take(rows).variances(radius_m)
 
 
-def map_covariance(
+def map_roots(
     rows: IntArray, gTb: FloatArray, camera: Camera, catalog: Catalog, options: CorrelatedErrorOptions
-) -> FloatArray:
-    """Covariance of rims' charts from the errors of their craters on the map.
+) -> FloatArray | None:
+    """Compute the roots of what errors of craters on the map add to rims' charts.
 
     Parameters
     ----------
@@ -150,25 +169,37 @@ def map_covariance(
 
     Returns
     -------
+    ndarray, shape (n, 5, m), or None
+        As in `RimSet.of_map`; m depends on the catalogue and the options alone.
+    """
+    parts = []
+    assumed = options.map_place_share, options.map_size_share, options.map_height_m
+    if any(assumed) or not (catalog.errors is None or catalog.errors.exact):
+        slopes = ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
+        parts.append(slopes * np.sqrt(map_variances(rows, catalog, options))[:, None])
+    if catalog.plane_tilt_rad is None and options.map_tilt_rad > 0.0:
+        tilts = tilt_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
+        parts.append(options.map_tilt_rad * tilts)
+    return np.concatenate(parts, axis=2) if parts else None
+
+
+def map_covariance(
+    rows: IntArray, gTb: FloatArray, camera: Camera, catalog: Catalog, options: CorrelatedErrorOptions
+) -> FloatArray:
+    """Covariance of rims' charts from the errors of their craters on the map.
+
+    Parameters
+    ----------
+    rows, gTb, camera, catalog, options
+        See `map_roots`: shapes (n,), (4, 4).
+
+    Returns
+    -------
     ndarray, shape (n, 5, 5)
         In normalised image coordinates.
     """
-    slopes = ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
-    variances = map_variances(rows, catalog, options)
-    tilts = _tilt_roots(rows, gTb, camera, catalog, options)
-    return np.asarray(
-        (slopes * variances[:, None]) @ np.swapaxes(slopes, 1, 2) + tilts @ np.swapaxes(tilts, 1, 2)
-    )
-
-
-def _tilt_roots(
-    rows: IntArray, gTb: FloatArray, camera: Camera, catalog: Catalog, options: CorrelatedErrorOptions
-) -> FloatArray:
-    """Roots (n, 5, 2) of the unknown slopes of the rims' planes; (n, 5, 0) where the catalogue has them."""
-    if catalog.plane_tilt_rad is not None or options.map_tilt_rad == 0.0:
-        return np.zeros((len(rows), 5, 0))
-    slopes = tilt_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
-    return np.asarray(options.map_tilt_rad * slopes)
+    A = map_roots(rows, gTb, camera, catalog, options)
+    return np.zeros((len(rows), 5, 5)) if A is None else A @ np.swapaxes(A, 1, 2)
 
 
 def in_plane_slopes(rows: IntArray, gTb: FloatArray, camera: Camera, catalog: Catalog) -> FloatArray:
@@ -241,68 +272,18 @@ def correlated_roots(
 
     Returns
     -------
-    correlated, shared : ndarray, shapes (n, 5, 6) or (n, 5, 8), (n, 5, 8)
+    correlated, shared : ndarray, shapes (n, 5, 5), (n, 5, 8)
         As in `RimSet`.
     """
     brightness = errors.brightness_root
-    every = ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
-    slopes = every[:, :, _IN_PLANE]
+    slopes = in_plane_slopes(rows, gTb, camera, catalog)
     inverse = np.linalg.inv(slopes)
     own = errors.systematic - options.brightness_share * brightness[:, :, None] * brightness[:, None, :]
     on_ground = options.crater_share * inverse @ own @ np.swapaxes(inverse, 1, 2)
-    of_map = map_variances(rows, catalog, options)
-    on_ground = on_ground + of_map[:, _IN_PLANE, None] * np.eye(len(_IN_PLANE))
-    in_plane = slopes @ np.linalg.cholesky(0.5 * (on_ground + np.swapaxes(on_ground, 1, 2)))
-    of_height = every[:, :, [_HEIGHT]] * np.sqrt(of_map[:, [_HEIGHT], None])
-    tilts = _tilt_roots(rows, gTb, camera, catalog, options)
-    correlated = np.concatenate([in_plane, of_height, tilts], axis=2)
+    correlated = slopes @ np.linalg.cholesky(0.5 * (on_ground + np.swapaxes(on_ground, 1, 2)))
     shared = slopes @ _shared_on_ground(rows, gTb, sun_g, camera, catalog, options)
     shared[:, :, 7] = np.sqrt(options.brightness_share) * brightness
     return correlated, shared
-
-
-def without_map(
-    correlated: FloatArray,
-    rows: IntArray,
-    gTb: FloatArray,
-    camera: Camera,
-    catalog: Catalog,
-    options: CorrelatedErrorOptions,
-) -> FloatArray:
-    """Take the errors of the map out of the time-correlated errors of a frame's rims.
-
-    Parameters
-    ----------
-    correlated : ndarray, shape (n, 5, m)
-        See `RimSet`.
-    rows : ndarray of int, shape (n,)
-        The rims' craters in the catalogue.
-    gTb : ndarray, shape (4, 4)
-        Pose of the body in g that sees them.
-    camera : Camera
-    catalog : Catalog
-    options : CorrelatedErrorOptions
-
-    Returns
-    -------
-    ndarray, shape (n, 5, m)
-        Nothing is left of what is smaller than the errors of the map.
-    """
-    every = ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
-    slopes, height = every[:, :, _IN_PLANE], every[:, :, [_HEIGHT]]
-    of_map = map_variances(rows, catalog, options)
-    count = len(_IN_PLANE)
-    root = np.linalg.solve(slopes, correlated[:, :, :count])
-    on_ground = root @ np.swapaxes(root, 1, 2)
-    least = _LEAST_LEFT * np.trace(on_ground, axis1=1, axis2=2)
-    values, vectors = np.linalg.eigh(on_ground - of_map[:, _IN_PLANE, None] * np.eye(count))
-    left = np.maximum(values, least[:, None])
-    own = slopes @ np.linalg.cholesky((vectors * left[:, None]) @ np.swapaxes(vectors, 1, 2))
-    kept = correlated[:, :, count : count + 1]
-    squares = [np.sum(part**2, axis=1, keepdims=True) for part in (height, kept)]
-    of_height = np.sqrt(np.maximum(squares[1] / squares[0] - of_map[:, [_HEIGHT], None], 0.0))
-    # Tilts are no unknowns of a calibration.
-    return np.concatenate([own, height * of_height, correlated[:, :, count + 1 :]], axis=2)
 
 
 def _shared_on_ground(
@@ -352,8 +333,8 @@ def split(
     camera: Camera,
     catalog: Catalog,
     options: CorrelatedErrorOptions,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Split the errors of a frame's rims into white, time-correlated and shared parts.
+) -> SplitErrors:
+    """Split the errors of a frame's rims into white, time-correlated and shared parts and those of the map.
 
     Parameters
     ----------
@@ -366,23 +347,20 @@ def split(
 
     Returns
     -------
-    covariance : ndarray, shape (n, 5, 5)
-        Covariance of the whole error.
-    correlated, shared : ndarray, shapes (n, 5, 6) or (n, 5, 8), (n, 5, 8)
-        Roots of the time-correlated and the shared part of it.
-    fused_white : ndarray, shape (n, 5, 5)
-        See `RimSet`.
+    SplitErrors
     """
     correlated, shared = correlated_roots(errors, rows, gTb, sun_g, camera, catalog, options)
+    of_map = map_roots(rows, gTb, camera, catalog, options)
     brightness = errors.brightness_root
     # The time-correlated part of the fit and the shared brightness are in the covariance already, the other
     # shared parts and the errors of the map are new.
-    covariance = errors.covariance + shared @ np.swapaxes(shared, 1, 2)
-    covariance += map_covariance(rows, gTb, camera, catalog, options)
-    covariance -= options.brightness_share * brightness[:, :, None] * brightness[:, None, :]
-    white = covariance - correlated @ np.swapaxes(correlated, 1, 2) - shared @ np.swapaxes(shared, 1, 2)
+    own = errors.covariance - options.brightness_share * brightness[:, :, None] * brightness[:, None, :]
+    covariance = own + shared @ np.swapaxes(shared, 1, 2)
+    if of_map is not None:
+        covariance += of_map @ np.swapaxes(of_map, 1, 2)
     added = options.excess_white_share * min(variance_factor - 1.0, _MAX_EXCESS)
-    return covariance, correlated, shared, white + added * errors.systematic
+    white = own - correlated @ np.swapaxes(correlated, 1, 2) + added * errors.systematic
+    return SplitErrors(covariance, correlated, of_map, shared, white)
 
 
 def shared_of_arcs(

@@ -81,9 +81,7 @@ class PooledErrors:
             return rims
         slopes = in_plane_slopes(rims.craters, gTb, self._camera, self._catalog)
         inverse = np.linalg.inv(slopes)
-        # The error of the height is the map's alone: no frame estimates it.
-        in_plane, of_height = rims.correlated[:, :, :5], rims.correlated[:, :, 5:]
-        root = inverse @ in_plane
+        root = inverse @ rims.correlated
         correlated = root @ np.swapaxes(root, 1, 2)
         white, fused = (
             inverse @ S @ np.swapaxes(inverse, 1, 2)
@@ -96,10 +94,11 @@ class PooledErrors:
             self._pools[crater] = pool
             correlated[i], pooled_white, pooled_fused = pool.covariances / pool.weight
             white[i], fused[i] = _at_least(pooled_white, white[i]), _at_least(pooled_fused, fused[i])
-        roots = np.concatenate([slopes @ np.linalg.cholesky(correlated), of_height], axis=2)
-        covariance = slopes @ white @ np.swapaxes(slopes, 1, 2) + roots @ np.swapaxes(roots, 1, 2)
-        if rims.shared is not None:
-            covariance = covariance + rims.shared @ np.swapaxes(rims.shared, 1, 2)
+        roots = slopes @ np.linalg.cholesky(correlated)
+        covariance = slopes @ white @ np.swapaxes(slopes, 1, 2)
+        for A in (roots, rims.of_map, rims.shared):
+            if A is not None:
+                covariance = covariance + A @ np.swapaxes(A, 1, 2)
         covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
         fused_white = None if rims.fused_white is None else slopes @ fused @ np.swapaxes(slopes, 1, 2)
         return replace(rims, covariance=covariance, correlated=roots, fused_white=fused_white)
