@@ -7,14 +7,17 @@ predicted midpoint of an interval of at most a second: second order in the inter
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
 
 from factors import validation
+from factors.arrays import FloatArray
 from factors.errors import FactorError
 from factors.imu_noise import ImuNoise
+from factors.kernels import strapdown
 
 # Error of the integration scheme itself, m^2/s: far below a sensor's, but not zero, so that the position
 # block of the preintegrated covariance is regular.
@@ -47,14 +50,27 @@ def parameters(
         When a field is not finite or mis-shaped.
     """
     params = gtsam.PreintegrationCombinedParams(validation.array("gravity", gravity, (3,)))
-    eye = np.eye(3)
-    params.setGyroscopeCovariance(noise.gyro_density_rad_s_sqrt_hz**2 * eye)
-    params.setAccelerometerCovariance(noise.accelerometer_density_m_s2_sqrt_hz**2 * eye)
-    params.setBiasOmegaCovariance(noise.gyro_walk_rad_s2_sqrt_hz**2 * eye)
-    params.setBiasAccCovariance(noise.accelerometer_walk_m_s3_sqrt_hz**2 * eye)
-    params.setIntegrationCovariance(INTEGRATION_VARIANCE * eye)
+    gyro, accelerometer, gyro_walk, accelerometer_walk, integration = _covariances(noise)
+    params.setGyroscopeCovariance(gyro)
+    params.setAccelerometerCovariance(accelerometer)
+    params.setBiasOmegaCovariance(gyro_walk)
+    params.setBiasAccCovariance(accelerometer_walk)
+    params.setIntegrationCovariance(integration)
     params.setOmegaCoriolis(validation.array("spin", spin, (3,)))
     return params
+
+
+@lru_cache
+def _covariances(noise: ImuNoise) -> FloatArray:
+    """Covariances (5, 3, 3) of the noise of gyro, accelerometer, their biases' walks, and the integration."""
+    variances = [
+        noise.gyro_density_rad_s_sqrt_hz**2,
+        noise.accelerometer_density_m_s2_sqrt_hz**2,
+        noise.gyro_walk_rad_s2_sqrt_hz**2,
+        noise.accelerometer_walk_m_s3_sqrt_hz**2,
+        INTEGRATION_VARIANCE,
+    ]
+    return np.multiply.outer(variances, np.eye(3))
 
 
 def integrate(
@@ -100,9 +116,9 @@ def integrate(
     b = validation.array("bias", bias, (6,))
     pim = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias(b[3:], b[:3]))
     # A row's force is the mean along turning axes; GTSAM takes it along the axes at the row's beginning.
-    f = f + 0.5 * np.cross((w - b[:3]) * dt[:, None], f - b[3:])
+    forces = strapdown.forces_along_first_axes(dt, w, f, b)
     step = pim.integrateMeasurement
-    for force, rate, dt_k in zip(f, w, dt.tolist(), strict=True):
+    for force, rate, dt_k in zip(forces, w, dt.tolist(), strict=True):
         step(force, rate, dt_k)
     return pim
 

@@ -268,6 +268,37 @@ def _propagate(
 
 
 @njit(cache=True, error_model="numpy")
+def forces_along_first_axes(
+    dt_s: FloatArray, gyro: FloatArray, accelerometer: FloatArray, bias: FloatArray
+) -> FloatArray:
+    """Turn the mean forces of rows, along turning axes, to the axes at the rows' beginnings.
+
+    Parameters
+    ----------
+    dt_s : ndarray, shape (m,)
+        Durations of the rows.
+    gyro, accelerometer : ndarray, shape (m, 3)
+        Interval means of the inertial angular velocity (rad/s) and the specific force (m/s^2) in b.
+    bias : ndarray, shape (6,)
+        Gyro (rad/s), accelerometer (m/s^2), in b.
+
+    Returns
+    -------
+    ndarray, shape (m, 3)
+        f + (w dt) x f / 2, of the force and the angular velocity without their biases; m/s^2, with the bias.
+    """
+    out = np.empty_like(accelerometer)
+    for k in range(len(dt_s)):
+        half = 0.5 * dt_s[k]
+        for i in range(3):
+            j, n = (i + 1) % 3, (i + 2) % 3
+            turned = (gyro[k, j] - bias[j]) * (accelerometer[k, n] - bias[3 + n])
+            turned -= (gyro[k, n] - bias[n]) * (accelerometer[k, j] - bias[3 + j])
+            out[k, i] = accelerometer[k, i] + half * turned
+    return out
+
+
+@njit(cache=True, error_model="numpy")
 def propagate(
     gTb: FloatArray,
     gV: FloatArray,
