@@ -117,4 +117,4 @@ def _show(folder: Path, summary: dict[str, Any]) -> None:
         if 0 < values["anees_trials"] < count:
             tell(f"{name}: ANEES of the {values['anees_trials']} trials without a singular covariance")
     tell(_LEGEND)
-    say(f"{trials} trials, {summary['wall_s']:.0f} s: {folder}")
+    say(f"{trials} trials, {summary['wall_s']:.0f} s: {folder}\nnext: craternav report {folder}")

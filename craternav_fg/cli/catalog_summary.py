@@ -138,7 +138,7 @@ def _told(errors: dict[str, Any], *, has_heights: bool) -> list[str]:
     lines = []
     if "place_sigma_m" not in errors:
         exact = "places, sizes and heights" if has_heights else "places and sizes"
-        lines.append(f"  errors      none of each crater: {exact} count as exact")
+        lines.append(f"  errors      none of each crater: {exact} are exact, unless rims show otherwise")
     else:
         lines.append(
             f"  errors      each crater: place {errors['place_sigma_m']:.0f} m, size "

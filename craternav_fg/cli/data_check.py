@@ -95,7 +95,7 @@ def _show(values: dict[str, Any]) -> None:
         "sensors": ", ".join([*values["sensors"], *["point features"] * values["point_features"]]) or "none",
         "catalogue": f"{values['craters']:,} craters, diameters {small_km} to {large_km} km, "
         f"{'with' if values['rim_heights'] else 'without'} heights, "
-        f"{'with its errors' if values['map_errors'] else 'no errors stated: it counts as exact'}",
+        f"{'with its errors' if values['map_errors'] else 'exact, unless the rims show otherwise'}",
         "initial": "given" if values["initial_state"] else "none: found from the first images",
         "truth": "given" if values["truth"] else "none",
         "a-priori": "given" if values["apriori_states"] else "none",

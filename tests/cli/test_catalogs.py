@@ -72,12 +72,12 @@ def test_what_counts_as_exact_is_said(tmp_path):
     path, rows = tmp_path / "region.csv", ["id,lat,lon,diam_km,target", "B,3,-20,6,Moon"]
     path.write_text("\n".join(rows) + "\n")
     assert (
-        "errors      none of each crater: places and sizes count as exact"
+        "errors      none of each crater: places and sizes are exact, unless rims show otherwise"
         in call("catalog", "info", path).out
     )
     rows = [f"{row},{more}" for row, more in zip(rows, ("RIM_HEIGHT_M", "150"), strict=True)]
     path.write_text("\n".join(rows) + "\n")
-    assert "none of each crater: places, sizes and heights count" in call("catalog", "info", path).out
+    assert "none of each crater: places, sizes and heights are exact" in call("catalog", "info", path).out
     names = "PLACE_SIGMA_M,SIZE_SIGMA_SHARE,RIM_HEIGHT_SIGMA_M"
     rows = [f"{row},{more}" for row, more in zip(rows, (names, "20,.01,30"), strict=True)]
     path.write_text("\n".join(rows) + "\n")

@@ -17,7 +17,7 @@ def test_a_data_set_with_images_is_summarised(folder):  # noqa: F811
     assert lines["images"] == "3 of 64 x 48 px"
     assert lines["IMU"] == "100 Hz"
     assert lines["catalogue"] == (
-        "2 craters, diameters 1.8 to 2.47 km, with heights, no errors stated: it counts as exact"
+        "2 craters, diameters 1.8 to 2.47 km, with heights, exact, unless the rims show otherwise"
     )
     assert (lines["initial"], lines["truth"], lines["a-priori"]) == ("given", "given", "none")
     assert "warning: not used: mav0/radar0: unknown sensor" in done.err
