@@ -10,6 +10,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import relative_covariance
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import NUMERICAL_ERRORS, Problem
+from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
 from craternav_fg.vision.arcs import across_sigma
@@ -94,12 +95,15 @@ def with_map_errors(
         return with_white_map_errors(frames, catalog)
     roots = [_roots(frame, poses, camera, catalog) for frame in frames]
     held = [_held(frame.rims, root) for frame, root in zip(frames, roots, strict=True)]
+    images = np.bincount(
+        np.concatenate([frame.arcs.craters for frame in frames]).astype(np.int64), minlength=len(catalog)
+    )
     if np.mean(np.concatenate([*held, [False]])) <= 0.5:
         held = [np.zeros_like(one) for one in held]
     return tuple(
         replace(
             frame,
-            arcs=_with_common_sigmas(frame.arcs, poses[frame.stamp_ns], camera, catalog),
+            arcs=_with_common_sigmas(frame.arcs, poses[frame.stamp_ns], camera, catalog, images),
             rims=replace(
                 frame.rims,
                 covariance=frame.rims.covariance
@@ -150,14 +154,22 @@ def _roots(
     return np.asarray(slopes * np.sqrt(_variances(rows, catalog))[:, None])
 
 
-def _with_common_sigmas(arcs: ArcSet, gTb: FloatArray, camera: Camera, catalog: Catalog) -> ArcSet:
-    """Let the points of an arc share what the errors of its crater move it across its outline."""
+def _with_common_sigmas(
+    arcs: ArcSet, gTb: FloatArray, camera: Camera, catalog: Catalog, images: IntArray
+) -> ArcSet:
+    """Let the points of an arc share what the errors of its crater move it across its outline.
+
+    They are the same in all images (n,) that show the arc of a crater, and count as white: their variance
+    counts as often, and not as `VARIANCE_INFLATION` says of errors that change with the image.
+    """
     if arcs.correlated_sigmas is not None or not len(arcs):
         return arcs
     rows, gTb = arcs.craters, np.ascontiguousarray(gTb)
     charts, _ = project_rims(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
     of_map = map_covariance(rows, gTb, camera, catalog, CorrelatedErrorOptions())
-    return replace(arcs, correlated_sigmas=np.array(list(map(across_sigma, arcs.points, charts, of_map))))
+    times = np.maximum(images[rows] / VARIANCE_INFLATION, 1.0)
+    across = np.array(list(map(across_sigma, arcs.points, charts, of_map)))
+    return replace(arcs, correlated_sigmas=np.sqrt(times) * across)
 
 
 def _held(rims: RimSet, root: FloatArray) -> BoolArray:

@@ -86,7 +86,11 @@ def test_errors_of_the_map_that_are_unknowns_count_once(data: Dataset) -> None:
 
 
 def test_arcs_hold_the_stated_errors_of_the_map(exact: Dataset, data: Dataset) -> None:
-    """Two of five rims are arcs: without the errors of their craters the ANEES was in the thousands."""
+    """Two of five rims are arcs: without the errors of their craters the ANEES was in the thousands.
+
+    As if they changed from image to image, the arcs made the smoother worse than none: 179 m and 21, not 133
+    m and 4.9.
+    """
     assert data.measurements is not None
     assert data.truth is not None
     rng, frames = np.random.default_rng(4), []
@@ -107,7 +111,7 @@ def test_arcs_hold_the_stated_errors_of_the_map(exact: Dataset, data: Dataset) -
     for name, trajectory in run.trajectories.items():
         found = metrics(trajectory, data.truth)
         assert found.anees is not None, name
-        assert found.anees < 20.0, name
+        assert found.anees < 10.0, name
     # An arc that says what its points share is left as it is.
     first = run.frames[0].arcs
     assert first.correlated_sigmas is not None
