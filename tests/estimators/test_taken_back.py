@@ -17,7 +17,7 @@ def test_a_frame_that_is_taken_back_has_left_nothing() -> None:
         craters = np.array(list(sizes))
         return RimSet(craters, charts, covariances, correlated=roots, of_map=of_map, shared=shared)
 
-    def entered(*, failing: bool) -> list[tuple[list[int], list[float]]]:
+    def entered(*, failing: bool) -> tuple[list[tuple[list[int], list[float]]], list[int], int]:
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         states = RimErrorStates(RimErrorOptions(), renewed=True)
         states.enter(rims({7: 0.0, 8: 0.0}), graph, values)
@@ -28,6 +28,7 @@ def test_a_frame_that_is_taken_back_has_left_nothing() -> None:
             states.take_back()
         terms = states.enter(rims({7: 0.05, 8: 0.5, 9: 0.0}), graph, values)
         terms += states.enter(rims({8: 0.6, 9: 0.3}), graph, values)
-        return [(list(term.keys), np.asarray(term.roots).ravel().tolist()) for term in terms]
+        told = [(list(term.keys), np.asarray(term.roots).ravel().tolist()) for term in terms]
+        return told, list(values.keys()), graph.size()
 
     assert entered(failing=True) == entered(failing=False)
