@@ -164,6 +164,13 @@ class RimSet:
         return self.correlated, self.of_map, self.shared
 
     @property
+    def map_columns(self) -> slice:
+        """Columns of `of_map` among all, shape (8,): slopes of rims' planes may stand alone."""
+        count = 0 if self.of_map is None else self.of_map.shape[2]
+        begin = MAP_SIZE if count == TILT_SIZE else 0
+        return slice(begin, begin + count)
+
+    @property
     def uncorrelated_covariance(self) -> FloatArray:
         """Covariance (n, 5, 5) of the white part of the error alone."""
         out = self.covariance
@@ -244,7 +251,7 @@ class RimSet:
         Parameters
         ----------
         share : float
-            Share of their variance.
+            Share of their variance. Nothing is moved where roots of time-correlated errors are singular.
         """
         if share == 0.0 or self.of_map is None or self.of_map.shape[2] < MAP_SIZE:
             return self
@@ -256,7 +263,10 @@ class RimSet:
             correlated[:, :, :2] = moved
         else:
             # The triangular root of the sum: its columns belong to the same directions on the ground.
-            Q = np.linalg.solve(self.correlated, moved)
+            try:
+                Q = np.linalg.solve(self.correlated, moved)
+            except np.linalg.LinAlgError:
+                return self
             whole = np.eye(CORRELATED_SIZE) + Q @ np.swapaxes(Q, 1, 2)
             correlated = self.correlated @ np.linalg.cholesky(whole)
         return replace(self, correlated=correlated, of_map=scale * self.of_map)
@@ -320,6 +330,9 @@ class ArcSet:
     shared : ndarray, shape (n, 5, 8), optional
         Roots of the error that all rims of a descent share, of the arcs' rims: what it adds to their charts,
         as in `RimSet`. None when no such part is known.
+    images : ndarray of int, shape (n,), optional
+        In how many images the time-correlated error is the same, as errors of the map are. None where it
+        changes with the image.
     """
 
     craters: IntArray
@@ -327,6 +340,7 @@ class ArcSet:
     sigmas: tuple[FloatArray, ...]
     correlated_sigmas: FloatArray | None = None
     shared: FloatArray | None = None
+    images: IntArray | None = None
 
     def __len__(self) -> int:
         return len(self.craters)
@@ -346,6 +360,7 @@ class ArcSet:
             tuple(self.sigmas[i] for i in chosen),
             None if self.correlated_sigmas is None else self.correlated_sigmas[rows],
             None if self.shared is None else self.shared[rows],
+            None if self.images is None else self.images[rows],
         )
 
     @classmethod
@@ -363,13 +378,16 @@ class ArcSet:
         Parameters
         ----------
         factor : float
-            Variance inflation, see `RimSet.inflate_correlated`.
+            Variance inflation, see `RimSet.inflate_correlated`; above 1 at least the number of `images`.
         """
         if self.correlated_sigmas is None:
             return self
+        factors = np.full(len(self), factor)
+        if self.images is not None and factor > 1.0:
+            factors = np.maximum(factors, self.images)
         sigmas = tuple(
-            np.sqrt(sigma**2 + factor * len(sigma) * shared**2)
-            for sigma, shared in zip(self.sigmas, self.correlated_sigmas, strict=True)
+            np.sqrt(sigma**2 + f * len(sigma) * shared**2)
+            for sigma, f, shared in zip(self.sigmas, factors.tolist(), self.correlated_sigmas, strict=True)
         )
         return ArcSet(self.craters, self.points, sigmas, shared=self.shared)
 

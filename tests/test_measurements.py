@@ -1,5 +1,7 @@
 """Rims as measured."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.testing import assert_allclose
 
@@ -61,16 +63,16 @@ def test_arcs_keep_their_correlated_errors_when_some_are_taken() -> None:
 
 def test_estimators_that_fuse_frames_take_more_white_variance_than_rims_state() -> None:
     rng = np.random.default_rng(2)
-    root = rng.standard_normal((3, 5, 21)) * 1e-3
-    correlated, shared, white = root[:, :, :5], root[:, :, 5:13], root[:, :, 13:]
+    root = rng.standard_normal((3, 5, 29)) * 1e-3
+    correlated, of_map, shared, white = np.split(root, [5, 13, 21], axis=2)
     factors = np.array([1.0, 2.0, 7.0])
     rims = RimSet(
         np.arange(3), rng.standard_normal((3, 5)), root @ np.swapaxes(root, 1, 2),
-        correlated=correlated, shared=shared,
+        correlated=correlated, of_map=of_map, shared=shared,
         fused_white=factors[:, None, None] * white @ np.swapaxes(white, 1, 2),
     )  # fmt: skip
     own = white @ np.swapaxes(white, 1, 2)
-    kept = correlated @ np.swapaxes(correlated, 1, 2) + shared @ np.swapaxes(shared, 1, 2)
+    kept = root[:, :, :21] @ np.swapaxes(root[:, :, :21], 1, 2)
     assert_allclose(rims.uncorrelated_covariance, own, rtol=1e-9)
     assert_allclose(rims.fused_white_covariance, factors[:, None, None] * own, rtol=1e-9)
     inflated = rims.inflate_correlated(4.0)
@@ -82,5 +84,14 @@ def test_estimators_that_fuse_frames_take_more_white_variance_than_rims_state() 
     assert_allclose(expected.fused_white_covariance, rims.fused_white_covariance, rtol=1e-9)
     scaled = rims.scaled(np.full(3, 2.0))
     assert_allclose(scaled.fused_white_covariance, 2.0 * rims.fused_white_covariance, rtol=1e-9)
+    assert_allclose(scaled.uncorrelated_covariance, 2.0 * own, rtol=1e-7)
+    elsewhere = rims.chart + 1e-4
+    exact = rims.with_exact_map()
+    assert exact.of_map is not None
+    level = replace(exact, covariance=exact.covariance - exact.of_map @ np.swapaxes(exact.of_map, 1, 2))
+    moved, alike = (one.expected_at(elsewhere) for one in (rims, replace(level, of_map=None)))
+    assert_allclose(moved.uncorrelated_covariance, alike.uncorrelated_covariance, rtol=1e-6)
     some = rims.take(np.array([2, 0]))
+    assert some.of_map is not None
+    assert_allclose(some.of_map, of_map[[2, 0]])
     assert_allclose(some.fused_white_covariance, rims.fused_white_covariance[[2, 0]], rtol=1e-12)

@@ -55,10 +55,13 @@ _PART_SHAPES: dict[str, tuple[int, ...]] = {
     _FUSED: (5, 5),
     **dict.fromkeys(_QUALITY, ()),
 }
+# The height's part of `map_errors`, which earlier files have instead.
+_FORMER_HEIGHT, _HEIGHT = "correlated_height", 2
+_READ_SHAPES = {**_PART_SHAPES, _FORMER_HEIGHT: (5, 1)}
 _RIM_PARTS = pa.schema(
     [
         (name, pa.list_(pa.float64(), int(np.prod(shape))) if shape else pa.float64())
-        for name, shape in _PART_SHAPES.items()
+        for name, shape in _READ_SHAPES.items()
     ]
 )
 # Present names of columns by the former ones.
@@ -161,9 +164,14 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog, camera: Camera)
     charts, covariances = _numbers(path, table, "chart", (5,)), _numbers(path, table, "covariance", (5, 5))
     parts = {
         name: _part(path, table, name, shape, rows)
-        for name, shape in _PART_SHAPES.items()
+        for name, shape in _READ_SHAPES.items()
         if name in table.column_names
     }
+    if _FORMER_HEIGHT in parts:
+        former = parts.pop(_FORMER_HEIGHT)
+        whole = np.zeros((len(table), 5, MAP_SIZE))
+        whole[:, :, [_HEIGHT]] = former.values
+        parts.setdefault("map_errors", _Part(whole, former.known))
     _check_charts(path, charts)
     half = half_sides(charts)
     _check_inside(path, "chart", charts[:, :2] - half, charts[:, :2] + half, camera)
@@ -178,9 +186,11 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog, camera: Camera)
     for own in _rows_of_frames(path, rows, craters, len(stamps_ns)):
         seen = {name: part.values[own] for name, part in parts.items() if part.known[own].any()}
         here = {name: seen.pop(name) for name in _ROOTS if name in seen}
-        of_map = [here.pop(name) for name in _OF_MAP if name in here]
-        if of_map:
-            here["of_map"] = np.concatenate(of_map, axis=2)
+        stated = [here.pop(name, None) is not None for name in _OF_MAP]
+        if any(stated):
+            # In all frames as wide: zeros are no error.
+            widest = [parts[name].values[own] for name in _OF_MAP if name in parts]
+            here["of_map"] = np.concatenate(widest, axis=2)
         fused = seen.pop(_FUSED, None)
         quality = RimQuality(**seen) if seen else None
         out.append(RimSet(craters[own], charts[own], covariances[own], quality, fused_white=fused, **here))

@@ -36,6 +36,8 @@ from factors.conic_shape import ChartError
 from factors.kernels.compiled import njit
 
 ERROR_LETTER = "r"
+# Of a key, behind its letter.
+_INDEX_BITS = 56
 # Of the columns of `RimSet.correlated`, those that displace a rim come first.
 PLACE_SIZE = 2
 # Letters of the error of a crater on the map, by its size: slopes alone, all but slopes, all.
@@ -171,7 +173,7 @@ def transitions(changes: FloatArray, decay: float) -> tuple[FloatArray, FloatArr
 
 
 class RimErrorStates:
-    """The variables of time-correlated errors, frame by frame.
+    """The variables of rims' errors, frame by frame: time-correlated ones, those of the map, the shared one.
 
     Parameters
     ----------
@@ -310,11 +312,17 @@ class RimErrorStates:
     ) -> ChartError:
         """Go on with the errors of craters on the map, and begin those of new craters."""
         size = roots.shape[2]
+        letter = MAP_LETTERS[size]
         keys = []
         for crater in rims.craters.tolist():
             key = self._of_map.get(crater)
-            if key is None or not (holds is None or values.exists(key) or holds(key)):
-                key = int(gtsam.symbol(MAP_LETTERS[size], self._map_count))
+            # A crater may be seen with errors of another size.
+            if (
+                key is None
+                or key >> _INDEX_BITS != ord(letter)
+                or not (holds is None or values.exists(key) or holds(key))
+            ):
+                key = int(gtsam.symbol(letter, self._map_count))
                 self._map_count += 1
                 self._note(self._of_map, crater, key)
                 values.insert(key, np.zeros(size))

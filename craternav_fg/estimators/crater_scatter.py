@@ -93,10 +93,11 @@ def _on_ground(
         inverse = np.linalg.inv(slopes)
         # Frames may differ in the parts that they state.
         roots = np.zeros((int(seen.sum()), 5, sum(_SIZES)))
-        for A, end in zip(rims.kept, np.cumsum(_SIZES).tolist(), strict=True):
+        parts_of_rims = np.split(roots, np.cumsum(_SIZES)[:-1], axis=2)
+        columns = (slice(0, CORRELATED_SIZE), rims.map_columns, slice(0, SHARED_SIZE))
+        for A, part, own in zip(rims.kept, parts_of_rims, columns, strict=True):
             if A is not None:
-                # From the end: the slopes of a rim's plane may stand alone.
-                roots[:, :, end - A.shape[2] : end] = A[seen]
+                part[:, :, own] = A[seen]
         white = rims.fused_white_covariance[seen]
         parts.append(
             (

@@ -1,8 +1,8 @@
 """Posterior Cramér-Rao bound (PCRB) of a descent, filtering and smoothing: what no estimator can beat.
 
 The information recursion at the truth: prior, IMU noise, rims, sun tilts and samples of sensors linearised at
-the true states. Time-correlated errors of rims, biases of sensors and the ground points of tracks are further
-unknowns, as in the smoothers.
+the true states. Time-correlated errors of rims, errors of the map, biases of sensors and the ground points of
+tracks are further unknowns, as in the smoothers.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ from craternav_fg.estimators.sensor_bank import (
 )
 from craternav_fg.evaluation.track_information import POINT_SIZE, TrackInformation
 from craternav_fg.linalg import square_root, whitening
-from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
+from craternav_fg.measurements import MAP_SIZE, SHARED_SIZE, TILT_SIZE, FrameMeasurement
 from craternav_fg.sensors.protocol import SensorState
 from craternav_fg.trajectory import Trajectory
 from factors.arrays import FloatArray, IntArray
@@ -199,8 +199,8 @@ class _AugmentedState:
         self._seen = [_kept(frame) for frame in frames]
         self._last = {crater: k for k, seen in enumerate(self._seen) for crater in seen}
         # Of each crater: what changes with its image, then the error of the map.
-        of_maps = (0 if frame.rims.of_map is None else frame.rims.of_map.shape[2] for frame in frames)
-        self._of_crater = STATE_SIZE + max(of_maps, default=0)
+        of_map = any(frame.rims.of_map is not None for frame in frames)
+        self._of_crater = STATE_SIZE + of_map * (MAP_SIZE + TILT_SIZE)
         self.of_rims = SHARED_SIZE if any(frame.rims.shared is not None for frame in frames) else 0
         self._shared = self.of_rims + biases
         self._charts: dict[int, FloatArray] = {}
@@ -273,7 +273,8 @@ def _information(
         J = np.zeros((5, augmented.size))
         J[:, _POSE] = A[i] * sigmas[_POSE]
         first = augmented.first.get(int(rims.craters[i]), 0)
-        for root, begin in ((rims.correlated, first), (rims.of_map, first + STATE_SIZE)):
+        begin_of_map = first + STATE_SIZE + rims.map_columns.start
+        for root, begin in ((rims.correlated, first), (rims.of_map, begin_of_map)):
             if root is not None:
                 J[:, begin : begin + root.shape[2]] = W[i] @ root[i]
         if rims.shared is not None:

@@ -10,7 +10,6 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import relative_covariance
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import NUMERICAL_ERRORS, Problem
-from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
 from craternav_fg.vision.arcs import across_sigma
@@ -25,7 +24,7 @@ from factors.kernels.rim_errors import ground_slopes
 
 
 def lack_map_errors(frames: Sequence[FrameMeasurement], catalog: Catalog) -> bool:
-    """Whether the catalogue states errors and measured rims do not say what their craters keep.
+    """Whether the catalogue states errors and measured rims do not hold them.
 
     Parameters
     ----------
@@ -39,7 +38,7 @@ def lack_map_errors(frames: Sequence[FrameMeasurement], catalog: Catalog) -> boo
     every = np.arange(len(catalog))
     return (
         catalog.errors is not None
-        and all(frame.rims.correlated is None and frame.rims.of_map is None for frame in frames)
+        and all(frame.rims.of_map is None or frame.rims.map_columns.start for frame in frames)
         and bool(_variances(every, catalog).any())
     )
 
@@ -108,7 +107,9 @@ def with_map_errors(
                 frame.rims,
                 covariance=frame.rims.covariance
                 + np.where(one, 0.0, 1.0)[:, None, None] * (root @ np.swapaxes(root, 1, 2)),
-                of_map=root,
+                of_map=root
+                if frame.rims.of_map is None
+                else np.concatenate([root, frame.rims.of_map], axis=2),
             ),
         )
         for frame, root, one in zip(frames, roots, held, strict=True)
@@ -159,22 +160,23 @@ def _with_common_sigmas(
 ) -> ArcSet:
     """Let the points of an arc share what the errors of its crater move it across its outline.
 
-    They are the same in all images (n,) that show the arc of a crater, and count as white: their variance
-    counts as often, and not as `VARIANCE_INFLATION` says of errors that change with the image.
+    They are the same in all images that show the arc of a crater: `images`, by rows of the catalogue.
     """
     if arcs.correlated_sigmas is not None or not len(arcs):
         return arcs
     rows, gTb = arcs.craters, np.ascontiguousarray(gTb)
     charts, _ = project_rims(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
     of_map = map_covariance(rows, gTb, camera, catalog, CorrelatedErrorOptions())
-    times = np.maximum(images[rows] / VARIANCE_INFLATION, 1.0)
     across = np.array(list(map(across_sigma, arcs.points, charts, of_map)))
-    return replace(arcs, correlated_sigmas=np.sqrt(times) * across)
+    return replace(arcs, correlated_sigmas=across, images=images[rows])
 
 
 def _held(rims: RimSet, root: FloatArray) -> BoolArray:
-    """Whether (n,) covariances are larger than the errors whose root is given, in each direction."""
-    if not len(rims):
-        return np.zeros(0, dtype=np.bool_)
+    """Whether (n,) covariances are larger than the errors whose root is given, in each direction.
+
+    Those of rims that say what their craters keep beside the map do not hold its errors.
+    """
+    if not len(rims) or rims.correlated is not None:
+        return np.zeros(len(rims), dtype=np.bool_)
     whitened = np.linalg.solve(np.linalg.cholesky(rims.covariance), root)
     return np.asarray(np.linalg.norm(whitened, ord=2, axis=(1, 2)) < 1.0)

@@ -95,6 +95,8 @@ class Prepared:
         With the catalogue that the problems have.
     measured : Measured
         With the errors of the map.
+    read : tuple of FrameMeasurement
+        The frames as they were measured: without errors of the map that were added.
     problems : tuple of Problem
         One for each segment.
     lowered : bool
@@ -107,6 +109,7 @@ class Prepared:
     relocaliser: Relocaliser
     descent: Descent
     measured: Measured
+    read: tuple[FrameMeasurement, ...]
     problems: tuple[Problem, ...]
     lowered: bool
     wrong_craters: Mapping[int, int] = field(default_factory=dict)
@@ -118,7 +121,11 @@ class Prepared:
         -------
         tuple of FrameMeasurement
         """
-        return tuple(replace(frame, rims=frame.rims.with_exact_map()) for frame in self.measured.frames)
+        # Rims to which errors of the map were added as white ones do not say what to take out.
+        return tuple(
+            replace(frame, rims=(read if frame.rims.of_map is None else frame).rims.with_exact_map())
+            for frame, read in zip(self.measured.frames, self.read, strict=True)
+        )
 
 
 @dataclass(frozen=True)
@@ -202,7 +209,7 @@ class Measuring:
         if lowered:
             descent = replace(descent, catalog=lowered_to_planes(descent.catalog))
             problems = measured.problems(descent)
-        return Prepared(dataset, relocaliser, descent, measured, problems, lowered, wrong)
+        return Prepared(dataset, relocaliser, descent, measured, read, problems, lowered, wrong)
 
     def _measured(self, dataset: Dataset, relocaliser: Relocaliser) -> Measured:
         """Take the data set's measurements, or measure its images."""

@@ -175,7 +175,7 @@ def estimated_errors(
             return None
     both, noise = (_likeliest(rims, one) for one in (variances + _NOISE * start, _NOISE * start))
     gain = rims.weighted(both).log_likelihood - rims.weighted(noise).log_likelihood
-    if any(one.correlated is not None for one in images.rims):
+    if any(one.correlated is not None or one.of_map is not None for one in images.rims):
         # What a crater keeps is the same in all frames: they count once.
         gain *= len(np.unique(rims.craters)) / len(rims.craters)
     if gain < _LEAST_GAIN:

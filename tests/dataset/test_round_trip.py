@@ -177,6 +177,22 @@ def test_errors_of_the_map_and_tilts_survive(tmp_path, count):
     exact_all(Dataset.open(tmp_path / "data").measurements, measured)
 
 
+def test_the_height_of_earlier_files_is_an_error_of_the_map(tmp_path):
+    rng = np.random.default_rng(9)
+    given, measured = recording(rng), random_measurements(rng)
+    root = np.zeros((2, 5, 6))
+    root[:, :, 2] = 1e-4 * rng.standard_normal((2, 5))
+    rims = measured[2].rims
+    wider = replace(rims, of_map=root, covariance=rims.covariance + root @ np.swapaxes(root, 1, 2))
+    measured = (*measured[:2], replace(measured[2], rims=wider))
+    path = write_dataset(tmp_path / "data", replace(given, measurements=measured)) / "rims.parquet"
+    table = pq.read_table(path)
+    heights = [None if row is None else row[2::6] for row in table["map_errors"].to_pylist()]
+    table = table.drop_columns(["map_errors"]).append_column("correlated_height", pa.array(heights))
+    pq.write_table(table, path)
+    exact_all(Dataset.open(path.parent).measurements, measured)
+
+
 def test_rims_are_read_in_the_catalogues_order(tmp_path):
     rng = np.random.default_rng(8)
     given, measured = recording(rng), random_measurements(rng)

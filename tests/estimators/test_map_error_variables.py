@@ -112,6 +112,33 @@ def test_a_crater_has_one_variable_however_its_image_changes() -> None:
         assert graph.size() == values.size() == 3
 
 
+def test_frames_may_state_errors_of_another_size(trials: list[tuple[Problem, Trajectory]]) -> None:
+    """A crater then has a variable for each size: less is known, and nothing fails."""
+    p, truth = trials[0]
+    sigmas = []
+    for mixed in (False, True):
+        frames = []
+        for k, frame in enumerate(p.frames):
+            A = frame.rims.of_map
+            assert A is not None
+            rims = frame.rims
+            if mixed and k % 2:
+                less = rims.covariance - A[:, :, MAP_SIZE:] @ np.swapaxes(A[:, :, MAP_SIZE:], 1, 2)
+                rims = replace(rims, covariance=less, of_map=A[:, :, :MAP_SIZE])
+            elif mixed and k == 2:
+                less = rims.covariance - A[:, :, :MAP_SIZE] @ np.swapaxes(A[:, :, :MAP_SIZE], 1, 2)
+                rims = replace(rims, covariance=less, of_map=A[:, :, MAP_SIZE:])
+            frames.append(replace(frame, rims=rims))
+        one = replace(p, frames=frames)
+        assert len(posterior_bound(one, frames, truth).smoothed) == len(frames)
+        for estimator in (BatchSmoother(), OnlineSmoother()):
+            estimate = estimator.estimate(one)
+            assert estimate.pose_covariance is not None
+            sigmas.append(position_rms_m(estimate.pose_covariance)[-1])
+    assert 0.3 * sigmas[0] < sigmas[2] < 3.0 * sigmas[0]
+    assert 0.3 * sigmas[1] < sigmas[3] < 3.0 * sigmas[1]
+
+
 def test_a_part_of_the_place_counts_as_changing() -> None:
     """The whole covariance stays; the time-correlated root is the triangular one on the ground."""
     rng = np.random.default_rng(5)
@@ -140,6 +167,11 @@ def test_a_part_of_the_place_counts_as_changing() -> None:
     assert_allclose(alone.correlated[:, :, :2], place[:, :, :2])
     assert not alone.correlated[:, :, 2:].any()
     assert rims.with_changing_place(0.0) is rims
+    # A root may be singular.
+    flat = correlated.copy()
+    flat[:, :, 2:] = 0.0
+    singular = replace(rims, correlated=flat)
+    assert singular.with_changing_place(0.5) is singular
 
 
 @pytest.mark.parametrize("count", [MAP_SIZE, SIZE, TILT_SIZE])

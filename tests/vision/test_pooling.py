@@ -35,7 +35,7 @@ def frame(view, claims, chart=None, outline=0.02):
     quality = RimQuality(same, same, same, same, outline * same)
     if chart is None:
         chart = project_rims(gTb, camera.bTc, catalog.centres, catalog.axes)[0]
-    return RimSet(rows, chart, covariance, quality, correlated, np.zeros((CRATERS, 5, 8)))
+    return RimSet(rows, chart, covariance, quality, correlated, shared=np.zeros((CRATERS, 5, 8)))
 
 
 def common_shift(view, frames):
@@ -101,6 +101,23 @@ def test_a_pool_is_a_mean_over_frames_and_a_larger_white_claim_is_kept(view):
     # Sixteen times the variance in one frame of 21, beside a prior worth a few frames.
     assert 15.0 / 25.0 < variance[0] - 1.0 < 15.0 / 21.0
     np.testing.assert_allclose(variance[2:], 1.0, rtol=1e-6)
+
+
+def test_errors_of_the_map_are_not_pooled(view):
+    catalog, camera, gTb = view
+    same = np.ones(CRATERS)
+    A = 1e-3 * np.random.default_rng(1).standard_normal((CRATERS, 5, 6))
+    bare = frame(view, same)
+    wider = replace(bare, covariance=bare.covariance + A @ np.swapaxes(A, 1, 2), of_map=A)
+    got = []
+    for rims in (bare, wider):
+        pooled = PooledErrors(camera, catalog)
+        pooled.pool(replace(rims, chart=rims.chart), gTb)
+        got.append(pooled.pool(rims, gTb))
+    assert got[1].of_map is A
+    np.testing.assert_allclose(
+        got[1].covariance - got[0].covariance, A @ np.swapaxes(A, 1, 2), rtol=1e-6, atol=1e-12
+    )
 
 
 def test_rims_that_are_ellipses_stay_as_they_are(view):

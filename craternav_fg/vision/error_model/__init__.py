@@ -1,7 +1,7 @@
 """Error model of measured rims: what happens to a rim's covariance, from the ellipse fit to the factor.
 
-A measured rim is an ellipse chart (`craternav_fg.ellipse`), and its covariance is 5 x 5. Its error has three
-independent parts: white (new in each frame), time-correlated per crater, and shared by all rims of a descent.
+A measured rim is an ellipse chart (`craternav_fg.ellipse`), and its covariance is 5 x 5. Its error has four
+independent parts: white (new in each frame), time-correlated per crater, of the map, and shared by all rims.
 The steps in their order, with who applies each, and why:
 
 In one image, for one rim:

@@ -37,6 +37,8 @@ _MAX_EXCESS = 2.0
 # errors is larger by 20 with the square of the inverse for shifts than with the inverse, whether from 0.5 or
 # 0.8 on; for growths the square makes it smaller.
 _WEAK_CONTRAST, _WEAK_CONTRAST_OF_SHIFTS, _LEAST_CONTRAST = 1.0, 0.6, 0.1
+# Least share of a variance that is time-correlated, so that roots exist.
+_LEAST_SHARE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -279,7 +281,7 @@ def correlated_roots(
     slopes = in_plane_slopes(rows, gTb, camera, catalog)
     inverse = np.linalg.inv(slopes)
     own = errors.systematic - options.brightness_share * brightness[:, :, None] * brightness[:, None, :]
-    on_ground = options.crater_share * inverse @ own @ np.swapaxes(inverse, 1, 2)
+    on_ground = max(options.crater_share, _LEAST_SHARE) * inverse @ own @ np.swapaxes(inverse, 1, 2)
     correlated = slopes @ np.linalg.cholesky(0.5 * (on_ground + np.swapaxes(on_ground, 1, 2)))
     shared = slopes @ _shared_on_ground(rows, gTb, sun_g, camera, catalog, options)
     shared[:, :, 7] = np.sqrt(options.brightness_share) * brightness
