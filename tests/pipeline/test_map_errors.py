@@ -8,11 +8,16 @@ import pytest
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.dataset import Dataset
 from craternav_fg.ellipse import pixel_chart, points_and_normals
+from craternav_fg.errors import EstimationError
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.measurements import ArcSet
+from craternav_fg.pipeline import map_errors
 from craternav_fg.pipeline.map_errors import lack_map_errors
+from craternav_fg.pipeline.measuring import Measuring
 from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.simulation.scenario import simulate
+from craternav_fg.vision.guided_options import GuidedOptions
 from factors.kernels.conic import project_rims
 from tests.descents import scenario
 
@@ -119,3 +124,44 @@ def test_arcs_hold_the_stated_errors_of_the_map(exact: Dataset, data: Dataset) -
     saying = [replace(frame, arcs=arcs) for frame, arcs in zip(frames, told, strict=True)]
     again = reconstruct(replace(data, measurements=tuple(saying)), ["dead_reckoning"])
     np.testing.assert_array_equal(again.frames[0].arcs.correlated_sigmas, 2.0 * first.correlated_sigmas)
+
+
+def test_rims_that_state_errors_of_their_own_get_those_of_the_map_as_well(data: Dataset) -> None:
+    assert data.measurements is not None
+    told = []
+    for frame in data.measurements:
+        root = np.sqrt(0.5) * np.linalg.cholesky(frame.rims.covariance)
+        told.append(replace(frame, rims=replace(frame.rims, correlated=root)))
+    assert lack_map_errors(told, data.catalog)
+    run = reconstruct(replace(data, measurements=tuple(told)), ["ekf"])
+    for frame, read in zip(run.frames, told, strict=True):
+        A = frame.rims.of_map
+        assert A is not None
+        np.testing.assert_array_equal(frame.rims.correlated, read.rims.correlated)
+        added = frame.rims.covariance - read.rims.covariance
+        np.testing.assert_allclose(added, A @ np.swapaxes(A, 1, 2), atol=1e-12)
+    # Slopes of planes alone are not the errors that the catalogue states.
+    tilts = [replace(f, rims=replace(f.rims, of_map=np.zeros((len(f.rims), 5, 2)))) for f in told]
+    assert lack_map_errors(tilts, data.catalog)
+    assert not lack_map_errors(run.frames, data.catalog)
+
+
+def test_without_a_filtered_pose_the_map_is_in_no_rim_twice(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Errors of the map are white then; for what estimates them the rims are as they were read."""
+
+    def fail(*_: object) -> None:
+        raise EstimationError("no pose")
+
+    monkeypatch.setattr(map_errors, "filtered_poses", fail)
+    assert data.measurements is not None
+    prepared = Measuring(data.initial, GuidedOptions(), (), {}, lambda *_: None).prepared(
+        data, Relocaliser(data)
+    )
+    for frame, white, read in zip(
+        prepared.without_map_errors(), prepared.measured.frames, data.measurements, strict=True
+    ):
+        assert white.rims.of_map is None
+        assert (white.rims.covariance > read.rims.covariance)[:, [0, 1], [0, 1]].all()
+        np.testing.assert_array_equal(frame.rims.covariance, read.rims.covariance)
