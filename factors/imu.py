@@ -50,7 +50,7 @@ def parameters(
         When a field is not finite or mis-shaped.
     """
     params = gtsam.PreintegrationCombinedParams(validation.array("gravity", gravity, (3,)))
-    gyro, accelerometer, gyro_walk, accelerometer_walk, integration = _covariances(noise)
+    gyro, accelerometer, gyro_walk, accelerometer_walk, integration = _covariances(*noise.densities.tolist())
     params.setGyroscopeCovariance(gyro)
     params.setAccelerometerCovariance(accelerometer)
     params.setBiasOmegaCovariance(gyro_walk)
@@ -61,16 +61,11 @@ def parameters(
 
 
 @lru_cache
-def _covariances(noise: ImuNoise) -> FloatArray:
+def _covariances(*densities: float) -> FloatArray:
     """Covariances (5, 3, 3) of the noise of gyro, accelerometer, their biases' walks, and the integration."""
-    variances = [
-        noise.gyro_density_rad_s_sqrt_hz**2,
-        noise.accelerometer_density_m_s2_sqrt_hz**2,
-        noise.gyro_walk_rad_s2_sqrt_hz**2,
-        noise.accelerometer_walk_m_s3_sqrt_hz**2,
-        INTEGRATION_VARIANCE,
-    ]
-    return np.multiply.outer(variances, np.eye(3))
+    out: FloatArray = np.multiply.outer([*np.square(densities), INTEGRATION_VARIANCE], np.eye(3))
+    out.flags.writeable = False
+    return out
 
 
 def integrate(
