@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from craternav_fg.dataset import Dataset
-from craternav_fg.estimators.base import Descent, Problem
+from craternav_fg.estimators.base import Descent, Estimator, Problem
 from craternav_fg.estimators.start import make_problem
+from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
 from craternav_fg.simulation.scenario_tables import Crater, CraterList
@@ -54,3 +57,13 @@ def problem(folder: Path, case: Scenario, trial: int) -> tuple[Problem, Trajecto
     assert data.measurements is not None
     assert data.truth is not None
     return make_problem(Descent.of(data), data.measurements), data.truth
+
+
+def mean_nees(estimator: Estimator, trials: list[tuple[Problem, Trajectory]]) -> float:
+    """Mean squared normalised error of the pose in the middle of descents, over trials with their truths."""
+    values = []
+    for p, truth in trials:
+        estimate = estimator.estimate(p)
+        assert estimate.pose_covariance is not None
+        values.append(nees(errors(estimate, truth).pose, estimate.pose_covariance)[len(truth) // 2])
+    return float(np.mean(values))

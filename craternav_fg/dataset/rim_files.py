@@ -33,19 +33,12 @@ from factors.kernels import admission
 _POINTS, _SIGMAS, _SHARED_SIGMA = "points_normalised", "sigmas_normalised", "correlated_sigma_normalised"
 _KEYS = [filled("timestamp", pa.int64()), filled("crater_id", pa.string())]
 _RIMS = pa.schema(
-    [
-        *_KEYS,
-        filled("chart", pa.list_(pa.float64(), 5)),
-        filled("covariance", pa.list_(pa.float64(), 25)),
-    ]
+    [*_KEYS, filled("chart", pa.list_(pa.float64(), 5)), filled("covariance", pa.list_(pa.float64(), 25))]
 )
 # Roots of the correlated parts of the covariance, with their columns.
 _ROOTS = {
-    "correlated": CORRELATED_SIZE,
-    "map_errors": MAP_SIZE,
-    "map_tilt": TILT_SIZE,
-    "shared": SHARED_SIZE,
-}
+    "correlated": CORRELATED_SIZE, "map_errors": MAP_SIZE, "map_tilt": TILT_SIZE, "shared": SHARED_SIZE,
+}  # fmt: skip
 # Columns that make `RimSet.of_map`.
 _OF_MAP = ("map_errors", "map_tilt")
 _FUSED = "fused_white"
@@ -309,8 +302,7 @@ class _Part:
 def _root(rims: RimSet, name: str) -> FloatArray | None:
     """Root (n, 5, m) of a part of the covariance as the file has it: errors of the map and tilts apart."""
     if name not in _OF_MAP:
-        root: FloatArray | None = getattr(rims, name)
-        return root
+        return rims.shared if name == "shared" else rims.correlated
     if rims.of_map is None:
         return None
     begin = 0 if rims.of_map.shape[2] == TILT_SIZE else MAP_SIZE

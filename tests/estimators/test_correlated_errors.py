@@ -45,10 +45,10 @@ from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.estimators.rim_models import RIM_MODELS
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
-from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.evaluation.metrics import errors
 from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, ArcSet, RimSet
 from craternav_fg.trajectory import Trajectory
-from tests.descents import problem, scenario
+from tests.descents import mean_nees, problem, scenario
 
 TRIALS = 8
 DECAY = 0.5
@@ -88,16 +88,6 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Traj
         p, truth = problem(folder, scenario(duration_s=40.0), trial)
         out.append((spoilt(p, truth, np.random.default_rng(trial)), truth))
     return out
-
-
-def mean_nees(estimator: Estimator, trials: list[tuple[Problem, Trajectory]]) -> float:
-    """At the middle of the descent."""
-    values = []
-    for p, truth in trials:
-        estimate = estimator.estimate(p)
-        assert estimate.pose_covariance is not None
-        values.append(nees(errors(estimate, truth).pose, estimate.pose_covariance)[len(truth) // 2])
-    return float(np.mean(values))
 
 
 KNOWING = BatchOptions(rim_errors=RimErrorOptions(decay_shape_change=DECAY, step_shape_change=0.02))

@@ -17,11 +17,10 @@ from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
-from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.measurements import CORRELATED_SIZE, MAP_SIZE, TILT_SIZE, RimSet
 from craternav_fg.trajectory import Trajectory
 from factors.kernels.rim_errors import ground_slopes, tilt_slopes
-from tests.descents import problem, scenario
+from tests.descents import mean_nees, problem, scenario
 
 TRIALS = 8
 SIZE = MAP_SIZE + TILT_SIZE
@@ -52,16 +51,6 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Traj
         p, truth = problem(folder, scenario(duration_s=40.0), trial)
         out.append((moved(p, truth, np.random.default_rng(trial)), truth))
     return out
-
-
-def mean_nees(estimator: Estimator, trials: list[tuple[Problem, Trajectory]]) -> float:
-    """At the middle of the descent."""
-    values = []
-    for p, truth in trials:
-        estimate = estimator.estimate(p)
-        assert estimate.pose_covariance is not None
-        values.append(nees(errors(estimate, truth).pose, estimate.pose_covariance)[len(truth) // 2])
-    return float(np.mean(values))
 
 
 @pytest.mark.parametrize(
