@@ -22,10 +22,14 @@ from factors.kernels import strapdown
 # Error of the integration scheme itself, m^2/s: far below a sensor's, but not zero, so that the position
 # block of the preintegrated covariance is regular.
 INTEGRATION_VARIANCE = 1e-10
+_AXES = np.eye(3)
 
 
 def parameters(
-    noise: ImuNoise, spin: npt.ArrayLike, gravity: npt.ArrayLike
+    noise: ImuNoise,
+    spin: npt.ArrayLike,
+    gravity: npt.ArrayLike,
+    integration_variance: float = INTEGRATION_VARIANCE,
 ) -> gtsam.PreintegrationCombinedParams:
     """Make the parameters of one interval.
 
@@ -39,6 +43,8 @@ def parameters(
         Angular velocity of g, rad/s, in g.
     gravity : array_like, shape (3,)
         Newtonian gravity in g at the predicted midpoint, m/s^2, without the centrifugal term.
+    integration_variance : float
+        Of the position that the integration adds, m^2/s.
 
     Returns
     -------
@@ -50,20 +56,20 @@ def parameters(
         When a field is not finite or mis-shaped.
     """
     params = gtsam.PreintegrationCombinedParams(validation.array("gravity", gravity, (3,)))
-    gyro, accelerometer, gyro_walk, accelerometer_walk, integration = _covariances(*noise.densities.tolist())
+    gyro, accelerometer, gyro_walk, accelerometer_walk = _covariances(*noise.densities.tolist())
     params.setGyroscopeCovariance(gyro)
     params.setAccelerometerCovariance(accelerometer)
     params.setBiasOmegaCovariance(gyro_walk)
     params.setBiasAccCovariance(accelerometer_walk)
-    params.setIntegrationCovariance(integration)
+    params.setIntegrationCovariance(integration_variance * _AXES)
     params.setOmegaCoriolis(validation.array("spin", spin, (3,)))
     return params
 
 
 @lru_cache
 def _covariances(*densities: float) -> FloatArray:
-    """Covariances (5, 3, 3) of the noise of gyro, accelerometer, their biases' walks, and the integration."""
-    out: FloatArray = np.multiply.outer([*np.square(densities), INTEGRATION_VARIANCE], np.eye(3))
+    """Covariances (4, 3, 3) of the noise of gyro, accelerometer and their biases' walks."""
+    out: FloatArray = np.multiply.outer(np.square(densities), _AXES)
     out.flags.writeable = False
     return out
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from numpy.testing import assert_allclose
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.estimators.base import Descent, Estimator, Problem
@@ -67,3 +68,13 @@ def mean_nees(estimator: Estimator, trials: list[tuple[Problem, Trajectory]]) ->
         assert estimate.pose_covariance is not None
         values.append(nees(errors(estimate, truth).pose, estimate.pose_covariance)[len(truth) // 2])
     return float(np.mean(values))
+
+
+def assert_same_estimates(found: Trajectory, expected: Trajectory, tolerance: float) -> None:
+    """Compare positions in units of their standard deviations, and covariances in units of variances."""
+    assert expected.pose_covariance is not None
+    assert found.pose_covariance is not None
+    scale = np.sqrt(np.diagonal(expected.pose_covariance, axis1=1, axis2=2))
+    assert (np.abs(found.gP - expected.gP) < tolerance * scale[:, 3:]).all()
+    scale = scale[:, :, None] * scale[:, None, :]
+    assert_allclose(found.pose_covariance / scale, expected.pose_covariance / scale, atol=tolerance)

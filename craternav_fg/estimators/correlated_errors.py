@@ -49,8 +49,8 @@ _ZERO, _UNIT = np.zeros(STATE_SIZE), gtsam.noiseModel.Unit.Create(STATE_SIZE)
 _LEAST_CHANGE = 1e-3
 SHARED_LETTER = "s"
 # Frames that involve one variable of the error that all rims share, where it is renewed, and the standard
-# deviation by which the next one differs: of no effect after thousands, and harmless to QR.
-SHARED_FRAMES, _EQUAL = 8, 1e-5
+# deviation by which the next one differs: of no effect after thousands, and harmless to factorisations.
+SHARED_FRAMES, _EQUAL = 8, 1e-3
 # Inflation of the variance of time-correlated errors where they are treated as white: they do not average out
 # over the frames that show a crater. Half of some ten frames, as the errors of neighbouring rims differ.
 # Fitted by `craternav_fg.calibration.variance_inflation`.

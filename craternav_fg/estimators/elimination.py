@@ -9,10 +9,44 @@ state has a stiff neighbour left when it is eliminated.
 import gtsam
 import numpy as np
 
-# A variable that no graph of ours has.
-_APART = gtsam.symbol("z", 0)
-_POSE, _OTHERS = "x", ("v", "b")
+from craternav_fg.estimators.correlated_errors import ERROR_LETTER, MAP_LETTERS, SHARED_LETTER
+from factors.arrays import FloatArray
+
+# Of a key, behind the letter.
+INDEX_BITS = 56
+INDEX_MASK = (1 << INDEX_BITS) - 1
+# Letters of variables that belong to one state; others, such as the mounting, belong to all of them.
+STATE_LETTERS = ("x", "v", "b")
+# A sensor's bias has its length for a letter.
+SENSOR_BIASES = tuple("123456789")
+# Errors of one rim, of one crater on the map, and of all rims.
+_RIM_ERRORS = tuple(map(ord, (ERROR_LETTER, *MAP_LETTERS.values(), SHARED_LETTER)))
+_BIASES = tuple(map(ord, SENSOR_BIASES))
+# Letter of a variable on which nothing depends: with it a clique has one variable more than its child.
+APART_LETTER = "z"
+_APART = gtsam.symbol(APART_LETTER, 0)
+_POSE, *_OTHERS = STATE_LETTERS
 _POSE_SIZE = 6
+
+
+def separating_factor(pose: int, apart: int) -> gtsam.JacobianFactor:
+    """Make the factor that keeps a state in a clique of its own, and changes no solution.
+
+    GTSAM merges a clique with its parent where both have the same variables: here the parent has one more.
+
+    Parameters
+    ----------
+    pose : int
+        Key of the state's pose, eliminated first of the state's variables.
+    apart : int
+        Key of a variable of one dimension that no other factor has, eliminated last of all.
+
+    Returns
+    -------
+    gtsam.JacobianFactor
+    """
+    unit = gtsam.noiseModel.Unit.Create(1)
+    return gtsam.JacobianFactor(pose, np.zeros((1, _POSE_SIZE)), apart, np.eye(1), np.zeros(1), unit)
 
 
 class CholeskyOrder:
@@ -35,11 +69,7 @@ class CholeskyOrder:
         newest = gtsam.Symbol(max(poses)).index()
         pose, *others = (gtsam.symbol(letter, newest) for letter in (_POSE, *_OTHERS))
         last = [pose, *(key for key in others if key in known), _APART]
-        # GTSAM merges a clique with its parent where both have the same variables: here the parent has one
-        # more, on which nothing depends.
-        unit = gtsam.noiseModel.Unit.Create(1)
-        nothing = np.zeros((1, _POSE_SIZE))
-        self._separating = gtsam.JacobianFactor(pose, nothing, _APART, np.eye(1), np.zeros(1), unit)
+        self._separating = separating_factor(pose, _APART)
         self.ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(
             self.apart(linear), last, forceOrder=True
         )
@@ -50,3 +80,90 @@ class CholeskyOrder:
         graph.push_back(linear)
         graph.push_back(self._separating)
         return graph
+
+
+def rounding(information: FloatArray, covariance: FloatArray) -> float:
+    """Estimate the relative error of variances that rounding leaves after a Cholesky factorisation.
+
+    It works on squares: it loses the digits by which the information of a variable, given all others, exceeds
+    that of its marginal density. GTSAM does not see it where a state has a clique of its own.
+
+    Parameters
+    ----------
+    information : ndarray, shape (m,)
+        Of each entry given all others.
+    covariance : ndarray, shape (m, m)
+        Of the entries, in the same units.
+
+    Returns
+    -------
+    float
+        To an order of magnitude, mostly too small.
+    """
+    return float(np.finfo(np.float64).eps * np.max(information * np.diag(covariance)))
+
+
+def newest_last(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, gtsam.KeyGroupMap | None]:
+    """Order an update of iSAM2: last what the next frame changes, the newest state in a clique of its own.
+
+    Errors of the newest rims come before it. GTSAM's own order keeps at the root all that new factors
+    involve, also the states between two frames and the errors that new variables continue: a quarter of an
+    update's cost.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+        New factors.
+    values : gtsam.Values
+        New variables.
+
+    Returns
+    -------
+    graph, values
+        With what sets the newest state apart.
+    groups : gtsam.KeyGroupMap or None
+        The order; None where there is no new state.
+    """
+    newest = _newest(values)
+    if newest < 0:
+        return graph, values, None
+    pose, apart = gtsam.symbol(_POSE, newest), apart_key(values)
+    involved = [keys for keys in (graph.at(n).keys() for n in range(graph.size())) if pose in keys]
+    groups = gtsam.KeyGroupMap()
+    for key in {key for keys in involved for key in keys}:
+        letter = key >> INDEX_BITS
+        if letter in _RIM_ERRORS:
+            groups.insert2(key, 1)
+        elif letter in _BIASES:
+            groups.insert2(key, 3)
+    groups.insert2(pose, 2)
+    for key in (gtsam.symbol(other, newest) for other in _OTHERS):
+        if values.exists(key):
+            groups.insert2(key, 3)
+    groups.insert2(apart, 4)
+    point = gtsam.Values()
+    point.insert(pose, values.atPose3(pose))
+    point.insert(apart, np.zeros(1))
+    graph, values = gtsam.NonlinearFactorGraph(graph), gtsam.Values(values)
+    graph.push_back(gtsam.LinearContainerFactor(separating_factor(pose, apart), point))
+    values.insert(apart, np.zeros(1))
+    return graph, values, groups
+
+
+def has_rim_errors(values: gtsam.Values) -> bool:
+    """Whether some variables are errors of rims."""
+    return any(key >> INDEX_BITS in _RIM_ERRORS for key in values.keys())  # noqa: SIM118 (no mapping)
+
+
+def apart_key(values: gtsam.Values) -> int:
+    """Key of the variable that sets the newest of some states apart; one that is nowhere without any."""
+    newest = _newest(values)
+    return int(gtsam.symbol(APART_LETTER, newest if newest >= 0 else INDEX_MASK))
+
+
+def _newest(values: gtsam.Values) -> int:
+    """Index of the newest state; -1 without any."""
+    poses = (key for key in values.keys() if key >> INDEX_BITS == ord(_POSE))  # noqa: SIM118 (no mapping)
+    return max((key & INDEX_MASK for key in poses), default=-1)

@@ -21,7 +21,7 @@ from factors.ahead import Ahead
 from factors.arrays import FloatArray, IntArray
 from factors.conic_shape import ChartError, conic_shape_factor, conic_shape_factors
 from factors.custom import Loss
-from factors.imu import imu_factor, integrate, parameters
+from factors.imu import INTEGRATION_VARIANCE, imu_factor, integrate, parameters
 from factors.kernels import robust
 from factors.rim_points import rim_points_factor
 from factors.rims_with_errors import RimsWithErrors
@@ -95,6 +95,12 @@ class ImuInterval:
     pim: gtsam.PreintegratedCombinedMeasurements
     params: gtsam.PreintegrationCombinedParams
     slot: int = -1
+
+    @property
+    def stiffness(self) -> FloatArray:
+        """Information (9,) of the rotation, position and velocity at the end, given all else."""
+        covariance = self.pim.preintMeasCov()[:9, :9]
+        return np.diagonal(np.linalg.inv(covariance))
 
     def with_gravity_at(self, body: Body, midpoint: FloatArray) -> "ImuInterval":
         """Evaluate the factor's gravity at another point; it must then be linearised again.
@@ -288,6 +294,7 @@ def add_imu(
     midpoint: FloatArray,
     bias: FloatArray,
     rows: ImuRows | None = None,
+    integration_variance: float = INTEGRATION_VARIANCE,
 ) -> ImuInterval:
     """Add the IMU factor from one state to the next.
 
@@ -305,12 +312,15 @@ def add_imu(
         Gyro (rad/s), then accelerometer (m/s^2), in b: where the preintegration is linearised.
     rows : (ndarray, ndarray, ndarray), optional
         What `ImuLog.between` gives for the interval, where it is known already.
+    integration_variance : float
+        See `factors.imu.parameters`.
 
     Returns
     -------
     ImuInterval
     """
-    params = parameters(descent.imu_noise, descent.body.spin_rad_s, descent.body.gravity(midpoint))
+    gravity = descent.body.gravity(midpoint)
+    params = parameters(descent.imu_noise, descent.body.spin_rad_s, gravity, integration_variance)
     pim = integrate(params, *(rows or descent.imu.between(begin_ns, end_ns)), bias)
     interval = ImuInterval(index, midpoint, pim, params)
     push_interval(graph, interval)

@@ -1,19 +1,36 @@
 """iSAM2 made fast and safe to use from Python, over all states or those of a fixed lag.
 
-QR throughout: GTSAM's Cholesky factorisation refuses realistic IMU information. The linearisation point is
-held for as long as the solver lives: callbacks get that object and not a deep copy of all values.
+GTSAM's Cholesky factorisation refuses realistic IMU information, but for an order as in `elimination`. Trees
+with errors of rims use it until it fails, as QR takes three times as long for them; all others use QR. The
+linearisation point is held for as long as the solver lives: callbacks get that object and not a deep copy of
+all values.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, SupportsFloat, SupportsIndex, SupportsInt
+from typing import SupportsFloat, SupportsIndex, SupportsInt
 
 import gtsam
 import numpy as np
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.correlated_errors import ERROR_LETTER, MAP_LETTERS, SHARED_LETTER, STATE_SIZE
-from craternav_fg.linalg import whitening
+from craternav_fg.estimators.elimination import (
+    APART_LETTER,
+    SENSOR_BIASES,
+    apart_key,
+    has_rim_errors,
+    newest_last,
+    rounding,
+)
+from craternav_fg.estimators.tree_snapshot import (
+    POINT,
+    Snapshot,
+    handed_on,
+    letters_of,
+    photograph,
+    since,
+    without_points,
+)
 from craternav_fg.measurements import SHARED_SIZE
 from factors.arrays import FloatArray
 
@@ -21,10 +38,6 @@ from factors.arrays import FloatArray
 # error is of second order: a turn of 0.5 mrad or a shift of 1e-3 of the range are 0.01 sigma of a rim's
 # measurement. An IMU factor of a second is linear in velocity and bias far beyond their priors.
 RELINEARISE_M = 5.0
-# Letter of tracked points.
-POINT = "l"
-# A sensor's bias has its length for a letter.
-SENSOR_BIASES = tuple("123456789")
 RELINEARISE_STEPS = {
     "x": np.array([5e-4, 5e-4, 5e-4, RELINEARISE_M, RELINEARISE_M, RELINEARISE_M]),
     "v": np.full(3, 1.0),
@@ -32,33 +45,22 @@ RELINEARISE_STEPS = {
     **{letter: np.full(size, 1e3) for size, letter in MAP_LETTERS.items()},
     "s": np.full(SHARED_SIZE, 1e3),
     "b": np.array([1e-2, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4]),
+    APART_LETTER: np.full(1, 1e3),
     "c": np.array([5e-5, 5e-5, 5e-5, 0.1, 0.1, 0.1]),
     POINT: np.full(3, 20.0),
     **{letter: np.full(int(letter), 1e3) for letter in SENSOR_BIASES},
 }
-# Of a key, behind the letter.
-INDEX_BITS = 56
-INDEX_MASK = (1 << INDEX_BITS) - 1
-# Letters of variables that belong to one state; others, such as the mounting, belong to all of them.
-POSE = "x"
-STATE_LETTERS = (POSE, "v", "b")
-# Errors of one rim, of one crater on the map, and of all rims.
-RIM_ERRORS = tuple(map(ord, (ERROR_LETTER, *MAP_LETTERS.values(), SHARED_LETTER)))
 # Letters of variables that several states share: errors of rims, tracked points, biases of sensors.
 SHARED_LETTERS = (ERROR_LETTER, *MAP_LETTERS.values(), SHARED_LETTER, POINT, *SENSOR_BIASES)
-# Letters of variables whose tree can be replaced. Errors of rims are not handed on: those of all rims that
-# may be seen again would make one dense factor, dearer than the whole tree; without them the present state
-# would seem not to rest on rims that they spoilt.
-HANDED_ON = {*STATE_LETTERS, POINT, *SENSOR_BIASES}
 # Back-substitution continues into the past until no variable moves by more (in practice: 1 m). The newest
 # states are at the root and always exact; GTSAM's 1 mm would visit the whole past at every frame.
 WILDFIRE_STEP = 1.0
 
 
-def parameters(position_m: float = RELINEARISE_M) -> gtsam.ISAM2Params:
-    """Parameters of iSAM2: QR, relinearisation by thresholds per kind of variable, checked from the root."""
+def parameters(position_m: float = RELINEARISE_M, *, cholesky: bool = False) -> gtsam.ISAM2Params:
+    """Parameters of iSAM2: relinearisation by thresholds per kind of variable, checked from the root."""
     params = gtsam.ISAM2Params()
-    params.setFactorization("QR")
+    params.setFactorization("CHOLESKY" if cholesky else "QR")
     params.relinearizeSkip = 1
     params.enablePartialRelinearizationCheck = True
     thresholds = gtsam.ISAM2ThresholdMap()
@@ -71,35 +73,13 @@ def parameters(position_m: float = RELINEARISE_M) -> gtsam.ISAM2Params:
     return params
 
 
+# What GTSAM says where it refuses a Cholesky factorisation.
+_INDETERMINATE = "Indeterminate linear system"
+# Estimate of lost digits beyond which QR takes over. Variances are wrong by up to thirty times it.
+MAX_ROUNDING = 3e-5
 # Largest number of variables of a tree, and of those that successive trees share: three minutes and one
 # minute of states at one a second.
 MAX_VARIABLES, OVERLAP_VARIABLES = 600, 180
-# A snapshot is taken when the newest attitude is known to this, as larger errors are not Gaussian. It is used
-# when the later estimate agrees with it to this chi-square per degree of freedom.
-SNAPSHOT_ATTITUDE_RAD = 0.01
-SNAPSHOT_CHI2_RATIO = 50.0 / 15.0
-# A tracked point goes on in the next tree when so many of its observations do.
-LEAST_OBSERVATIONS = 3
-
-
-@dataclass(frozen=True)
-class _Snapshot:
-    """What was known of a state when it was the newest, and of the sensors' biases.
-
-    Attributes
-    ----------
-    index : int
-        Index of the state.
-    size, slots : int
-        Number of variables, tracked points left out, and of factor slots of the tree at that time.
-    prior : gtsam.LinearContainerFactor
-        Gaussian of the state and of the biases, from all factors so far.
-    """
-
-    index: int
-    size: int
-    slots: int
-    prior: gtsam.LinearContainerFactor
 
 
 class Isam:
@@ -131,7 +111,11 @@ class Isam:
         self._keep_past = keep_past
         self._hold: gtsam.Values
         self._past = gtsam.Values()
-        self._snapshot: _Snapshot | None = None
+        self._snapshot: Snapshot | None = None
+        # Whether the tree is factorised by Cholesky, and whether GTSAM has refused to.
+        self._cholesky = self._refused = False
+        # Of the last update with new variables.
+        self._order: gtsam.KeyGroupMap | None = None
         self._trees = 0
         self._new(gtsam.NonlinearFactorGraph(), gtsam.Values())
 
@@ -139,6 +123,11 @@ class Isam:
     def trees(self) -> int:
         """Number of trees so far: the slots of one are void in the next."""
         return self._trees
+
+    @property
+    def by_cholesky(self) -> bool:
+        """Whether the present tree is factorised by Cholesky."""
+        return self._cholesky
 
     @property
     def tree(self) -> gtsam.ISAM2:
@@ -192,9 +181,48 @@ class Isam:
         try:
             self._apply(graph, values, time_s, drop)
         except (RuntimeError, ValueError) as error:
+            refused = self._is_refusal(error)
+            if refused:
+                self._refused, self._cholesky = True, False
             self._take_back(known, drop, dropped, values)
+            if refused:
+                known = self.tree.getFactorsUnsafe().size()
+                return self.update(graph, values, time_s, range(known - len(dropped), known))
             raise EstimationError(f"iSAM2 update failed and was taken back: {_first_line(error)}") from error
         return list(range(known, known + graph.size()))
+
+    def joint_covariance(self, keys: Sequence[int], stiffness: FloatArray | None = None) -> FloatArray:
+        """Give the joint covariance of variables; by QR where Cholesky factorisation loses too many digits.
+
+        Parameters
+        ----------
+        keys : sequence of int
+        stiffness : ndarray, shape (n,), optional
+            Information of the first n entries given all else, in the same units: to count lost digits.
+
+        Returns
+        -------
+        ndarray, shape (m, m)
+            In the order of the keys, in the units of each variable's tangent space.
+        """
+        try:
+            joint = np.asarray(self.tree.jointMarginalCovariance(keys).fullMatrix())
+        except RuntimeError as error:
+            if not self._is_refusal(error):
+                raise
+        else:
+            if not self._cholesky or stiffness is None:
+                return joint
+            n = len(stiffness)
+            if rounding(stiffness, joint[:n, :n]) < MAX_ROUNDING:
+                return joint
+        self._refused, self._cholesky = True, False
+        self._take_back(self.tree.getFactorsUnsafe().size(), (), [], gtsam.Values())
+        return self.joint_covariance(keys)
+
+    def _is_refusal(self, error: Exception) -> bool:
+        """Whether GTSAM refused a Cholesky factorisation, which QR may not."""
+        return self._cholesky and _INDETERMINATE in str(error)
 
     def again(self) -> None:
         """Relinearise the variables that moved, and solve again.
@@ -210,27 +238,36 @@ class Isam:
         """Replace the tree by one of these factors."""
         self._trees += 1
         self._snapshot = None
-        self._tree = gtsam.ISAM2(parameters(self.relinearise_m))
+        self._tree = gtsam.ISAM2(parameters(self.relinearise_m, cholesky=self._cholesky))
         self._hold = self._tree.getLinearizationPoint()
         self._points = 0
-        self._bounded = True
+        self._bounded, self._with_errors = True, False
         if graph.size():
-            self._tree.update(graph, values)
+            self._tree.update(graph, values, [], self._order)
             self._count(values)
 
     def _apply(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
     ) -> None:
+        by_cholesky = not self._refused and has_rim_errors(values)
+        if self._hold.empty() and by_cholesky != self._cholesky:
+            self._cholesky = by_cholesky
+            self._new(gtsam.NonlinearFactorGraph(), gtsam.Values())
         self._count(values)
-        # Only errors of rims, which no snapshot hands on, ask for an order of ours.
-        order = None if self._bounded else _order(graph, values)
+        if not self._with_errors:
+            self._tree.update(graph, values, drop)
+            return
+        order = self._order
+        if values.size():
+            graph, values, order = newest_last(graph, values)
         self._tree.update(graph, values, drop, order)
+        self._order = order
 
     def _count(self, added: gtsam.Values) -> None:
-        """Count tracked points, and see whether a snapshot can hand on all other variables."""
-        letters = [chr(key >> INDEX_BITS) for key in added.keys()]  # noqa: SIM118 (Values is no mapping)
-        self._points += letters.count(POINT)
-        self._bounded = self._bounded and HANDED_ON.issuperset(letters)
+        """Count tracked points, and see whether a snapshot can hand on all others, and which are errors."""
+        self._points += letters_of(added).count(POINT)
+        self._bounded = self._bounded and handed_on(added)
+        self._with_errors = self._with_errors or has_rim_errors(added)
 
     def _size(self) -> int:
         """Count the variables but tracked points."""
@@ -240,56 +277,29 @@ class Isam:
         """Take a snapshot of the newest state in time, and replace a large tree by one that begins there.
 
         Tracked points do not count: a tree with many of them would hold too few states. A tree with errors of
-        rims stays, see `HANDED_ON`.
+        rims stays, see `tree_snapshot.HANDED_ON`.
         """
         size = self._size()
         if self._snapshot is None:
             if self._bounded and size > MAX_VARIABLES - OVERLAP_VARIABLES:
-                self._snapshot = self._photograph()
+                self._snapshot = photograph(self._tree, self._size())
             return
         if size <= MAX_VARIABLES or size < self._snapshot.size + OVERLAP_VARIABLES:
             return
         snapshot = self._snapshot
         now = self._tree.calculateBestEstimate()
-        if 2.0 * snapshot.prior.error(now) > SNAPSHOT_CHI2_RATIO * snapshot.prior.dim():
-            self._snapshot = self._photograph()
+        if snapshot.contradicts(now):
+            self._snapshot = photograph(self._tree, self._size())
             return
         if self._keep_past:
-            self._past.insert_or_assign(_without_points(now))
-        graph, values = _since(snapshot, self._tree.getFactorsUnsafe(), now, added)
+            self._past.insert_or_assign(without_points(now))
+        graph, values = since(snapshot, self._tree.getFactorsUnsafe(), now, added)
         self._new(graph, values)
-
-    def _photograph(self) -> _Snapshot | None:
-        """Take a snapshot of the newest state; None when it is uncertain."""
-        symbols = [gtsam.Symbol(key) for key in self._hold.keys()]  # noqa: SIM118 (Values is no mapping)
-        last = max(symbol.index() for symbol in symbols if chr(symbol.chr()) in STATE_LETTERS)
-        keys = [
-            symbol.key()
-            for symbol in symbols
-            if chr(symbol.chr()) in SENSOR_BIASES
-            or (chr(symbol.chr()) in STATE_LETTERS and symbol.index() == last)
-        ]
-        joint = self._tree.jointMarginalCovariance(keys)
-        pose = gtsam.symbol("x", last)
-        if pose in keys and not np.diag(joint.at(pose, pose))[:3].max() < SNAPSHOT_ATTITUDE_RAD**2:
-            return None
-        try:
-            W = whitening(joint.fullMatrix())
-        except np.linalg.LinAlgError:
-            # Rounding: a larger tree is better than a wrong prior.
-            return None
-        blocks = np.split(W, np.cumsum([joint.at(key, key).shape[0] for key in keys])[:-1], axis=1)
-        point = self._tree.calculateBestEstimate()
-        for symbol in symbols:
-            if symbol.key() not in keys:
-                point.erase(symbol.key())
-        prior = gtsam.LinearContainerFactor(_jacobian_factor(keys, blocks), point)
-        slots = self._tree.getFactorsUnsafe().size()
-        return _Snapshot(last, self._size(), slots, prior)
 
     def _take_back(
         self, known: int, drop: Sequence[int], dropped: list[gtsam.NonlinearFactor], added: gtsam.Values
     ) -> None:
+        """Build the tree of before an update that failed; the factors it was to drop come last."""
         factors = self.tree.getFactorsUnsafe()
         graph = gtsam.NonlinearFactorGraph()
         for slot in range(known):
@@ -299,7 +309,7 @@ class Isam:
         for factor in dropped:
             graph.push_back(factor)
         values = gtsam.Values(self.tree.getLinearizationPoint())
-        for key in added.keys():  # noqa: SIM118 (Values is no mapping)
+        for key in (*added.keys(), apart_key(added)):
             if values.exists(key):
                 values.erase(key)
         try:
@@ -357,101 +367,6 @@ class FixedLagIsam(Isam):
             keys = graph.at(number).keys()
             stamps_s.update((key, time_s) for key in keys if chr(gtsam.Symbol(key).chr()) in SHARED_LETTERS)
         self._smoother.update(graph, values, stamps_s, drop)
-
-
-def _order(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.KeyGroupMap | None:
-    """Put last in an elimination what the next frame changes: the newest state, before it errors of rims.
-
-    GTSAM's own order keeps at the root all that new factors involve, also the states between two frames and
-    the errors that new variables continue: a quarter of an update's cost. It is kept without such errors.
-    """
-    newest = max((key for key in values.keys() if key >> INDEX_BITS == ord(POSE)), default=-1)  # noqa: SIM118
-    involved = [graph.at(number).keys() for number in range(graph.size())]
-    errors = {key for keys in involved if newest in keys for key in keys if key >> INDEX_BITS in RIM_ERRORS}
-    if not errors:
-        return None
-    groups = gtsam.KeyGroupMap()
-    for key in errors:
-        groups.insert2(key, 1)
-    for letter in STATE_LETTERS:
-        groups.insert2(gtsam.symbol(letter, newest & INDEX_MASK), 2)
-    return groups
-
-
-def _since(
-    snapshot: _Snapshot,
-    factors: gtsam.NonlinearFactorGraph,
-    now: gtsam.Values,
-    added: gtsam.NonlinearFactorGraph,
-) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """Return the snapshot and the factors since, and the values of their variables.
-
-    For tracked points the observations since then count, without what earlier ones told of the point. Those
-    to which factors are about to be added are kept in any case.
-    """
-    needed = _keys(added)
-    graph = gtsam.NonlinearFactorGraph()
-    graph.push_back(snapshot.prior)
-    of_points: dict[int, list[gtsam.NonlinearFactor]] = {}
-    alone: dict[int, gtsam.NonlinearFactor] = {}
-    letters = {ord(letter) for letter in STATE_LETTERS}
-    # Priors of points may be older than the snapshot.
-    for slot in range(0 if _count_points(now) else snapshot.slots, factors.size()):
-        if not factors.exists(slot):
-            continue
-        factor = factors.at(slot)
-        keys = factor.keys()
-        # A key's first byte is its letter, the rest its index; a `gtsam.Symbol` takes ten times as long.
-        states = [key & INDEX_MASK for key in keys if key >> INDEX_BITS in letters]
-        points = [key for key in keys if key >> INDEX_BITS == ord(POINT)]
-        if points and not states:
-            alone[points[0]] = factor
-        elif slot < snapshot.slots or min(states, default=snapshot.index) < snapshot.index:
-            continue
-        elif points:
-            of_points.setdefault(points[0], []).append(factor)
-        else:
-            graph.push_back(factor)
-    for point, prior in alone.items():
-        observations = of_points.get(point, [])
-        if point in needed or len(observations) >= LEAST_OBSERVATIONS:
-            for factor in (prior, *observations):
-                graph.push_back(factor)
-    kept = _keys(graph)
-    values = gtsam.Values(now)
-    for key in now.keys():  # noqa: SIM118 (Values is no mapping)
-        if key not in kept:
-            values.erase(key)
-    return graph, values
-
-
-def _keys(graph: gtsam.NonlinearFactorGraph) -> set[int]:
-    """Keys of a graph's variables."""
-    factors = [graph.at(number) for number in range(graph.size())]
-    return {key for factor in factors for key in factor.keys()}  # noqa: SIM118 (KeyVector is no mapping)
-
-
-def _count_points(values: gtsam.Values) -> int:
-    return sum(key >> INDEX_BITS == ord(POINT) for key in values.keys())  # noqa: SIM118 (Values is no mapping)
-
-
-def _without_points(values: gtsam.Values) -> gtsam.Values:
-    if not _count_points(values):
-        return values
-    out = gtsam.Values(values)
-    for key in values.keys():  # noqa: SIM118 (Values is no mapping)
-        if key >> INDEX_BITS == ord(POINT):
-            out.erase(key)
-    return out
-
-
-def _jacobian_factor(keys: list[int], blocks: list[FloatArray]) -> gtsam.JacobianFactor:
-    """Linear factor |sum A_i x_i|^2 by blocks A_i of columns."""
-    rows = len(blocks[0])
-    terms: list[Any] = list(zip(keys, blocks, strict=True))
-    # The only constructor that takes any number of variables.
-    unit = gtsam.noiseModel.Unit.Create(rows)
-    return gtsam.JacobianFactor(gtsam.GaussianConditional(terms, len(keys), np.zeros(rows), unit))
 
 
 def _first_line(error: Exception) -> str:

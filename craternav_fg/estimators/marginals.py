@@ -14,7 +14,7 @@ from contextlib import suppress
 import gtsam
 import numpy as np
 
-from craternav_fg.estimators.elimination import CholeskyOrder
+from craternav_fg.estimators.elimination import CholeskyOrder, rounding
 from factors.arrays import BoolArray, FloatArray
 from factors.kernels.compiled import njit
 
@@ -70,10 +70,7 @@ class Marginals:
         self._sizes = {key: len(self.step.at(key)) for key in linear.keyVector()}
 
     def rounding(self, covariances: Mapping[int, FloatArray]) -> float:
-        """Estimate the relative error of variances that rounding leaves.
-
-        Cholesky factorisation works on squares: it loses the digits by which the information of a variable,
-        given all others, exceeds that of its marginal density. GTSAM refuses to lose more than half.
+        """Estimate the relative error of variances that rounding leaves, see `elimination.rounding`.
 
         Parameters
         ----------
@@ -96,8 +93,8 @@ class Marginals:
                 keys = list(factor.keys())
                 place = _places(keys, self._sizes)[key]
                 information += np.sum(factor.jacobian()[0][:, place] ** 2, axis=0)
-            largest = max(largest, float(np.max(information * np.diag(covariance))))
-        return float(np.finfo(np.float64).eps) * largest
+            largest = max(largest, rounding(information, covariance))
+        return largest
 
     def covariances(self, keys: Sequence[int]) -> dict[int, FloatArray]:
         """Compute the covariances of some variables.

@@ -8,12 +8,13 @@ from dataclasses import replace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, V, X
+from gtsam.symbol_shorthand import X
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem, Start
 from craternav_fg.estimators.correlated_errors import SHARED_LETTER, RimErrorStates
+from craternav_fg.estimators.elimination import APART_LETTER, INDEX_BITS, INDEX_MASK
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import (
     FactorGraph,
@@ -23,25 +24,24 @@ from craternav_fg.estimators.graph import (
     add_frame,
     add_imu,
     add_prior,
-    bias_vector,
     insert_state,
     state_stamps,
 )
-from craternav_fg.estimators.incremental import INDEX_BITS, INDEX_MASK, RELINEARISE_M, FixedLagIsam, Isam
+from craternav_fg.estimators.incremental import RELINEARISE_M, FixedLagIsam, Isam
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import add_motion, longest_interval_s
+from craternav_fg.estimators.newest_state import newest_state
 from craternav_fg.estimators.point_features import SETTLED_ATTITUDE_RAD, FeatureStates
 from craternav_fg.estimators.sensor_bank import (
     SensorBank,
     add_sensors,
-    gyro_at,
-    gyro_variance,
     innovation_weights,
 )
 from craternav_fg.estimators.state_log import StateLog
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.arrays import FloatArray
+from factors.imu import INTEGRATION_VARIANCE
 from factors.kernels import strapdown
 
 # Shift of a midpoint below which gravity is not re-evaluated: on the Moon it changes by 1e-6 m/s^2 a metre.
@@ -56,24 +56,12 @@ SETTLED_ALTITUDE_SHARE = 1e-3
 # Shift, as a share of the altitude, at which a pose is relinearised; smaller, as the altitude falls while a
 # tree lives.
 RELINEARISE_ALTITUDE_SHARE = 3e-4
+# Share of the position's sigma by which a second of integration is uncertain, at least. It adds 1e-5 of that
+# sigma in minutes. Stiffer IMU factors cost the covariances digits by Cholesky factorisation: with a position
+# known to 400 m, all but two.
+INTEGRATION_SHARE = 3e-6
 # iSAM2 iterations at a frame after the first.
 MAX_EXTRA_UPDATES = 5
-
-
-def _from_gtsam() -> FloatArray:
-    """Jacobian (18, 15) from GTSAM's rotation, translation in b, velocity, accelerometer bias, gyro bias."""
-    T = np.zeros((strapdown.SIZE, 15))
-    T[strapdown.ATTITUDE, 0:3] = np.eye(3)
-    T[strapdown.VELOCITY, 6:9] = np.eye(3)
-    T[strapdown.ACCELEROMETER_BIAS, 9:12] = np.eye(3)
-    T[strapdown.GYRO_BIAS, 12:15] = np.eye(3)
-    T[strapdown.RATE, 12:15] = -np.eye(3)
-    return T
-
-
-# All but the position, which is turned from b to g.
-FROM_GTSAM = _from_gtsam()
-_RATES = np.arange(strapdown.RATE.start, strapdown.RATE.stop)
 
 
 class OnlineSession:
@@ -304,7 +292,10 @@ class OnlineSession:
                 add_motion(graph, self._descent, last, begin_ns, int(end_ns), here)
             else:
                 midpoint = 0.5 * (state.gTb[:3, 3] + ahead.gTb[:3, 3])
-                add_imu(graph, self._descent, last, begin_ns, int(end_ns), midpoint, state.bias, rows)
+                variance = max(INTEGRATION_VARIANCE, INTEGRATION_SHARE**2 * _position_variance(ahead))
+                add_imu(
+                    graph, self._descent, last, begin_ns, int(end_ns), midpoint, state.bias, rows, variance
+                )
             if reached is not None and end_ns == frame.stamp_ns:
                 ahead = reached
             last += 1
@@ -349,7 +340,12 @@ class OnlineSession:
         predicted = values.atPose3(X(last)).translation()
         self._add(graph, values, stamp_ns)
         try:
-            state = self._state(last, stamp_ns, self._settle(predicted, last, stamp_ns))
+            pose, trees = self._settle(predicted, last, stamp_ns), self._solver.trees
+            ahead = graph.intervals[-1] if graph.intervals else None
+            state = newest_state(self._solver, self._descent, self._bank, last, stamp_ns, pose, ahead)
+            if self._solver.trees != trees:
+                # A new tree has new slots.
+                self._intervals.clear()
             self._log.append(stamp_ns, state)
             self._newest, self._last, self._stamp_ns = state, last, stamp_ns
             self._frame_states.append(last)
@@ -436,41 +432,7 @@ class OnlineSession:
         """Return the standard deviation of the position at the last frame."""
         if self._newest is None:
             return float(np.sqrt(3.0) * self._descent.initial.position_sigma_m)
-        covariance = self._newest.covariance[strapdown.POSITION, strapdown.POSITION]
-        return float(np.sqrt(np.trace(covariance)))
-
-    def _state(self, n: int, stamp_ns: int, pose: gtsam.Pose3 | None = None) -> FilterState:
-        """Read the state of an index from the solver; its pose where that is known already."""
-        tree = self._solver.tree
-        gTb = np.ascontiguousarray((pose or tree.calculateEstimatePose3(X(n))).matrix())
-        bias = bias_vector(tree.calculateEstimateConstantBias(B(n)))
-        known = [one for one in self._bank.biases if tree.valueExists(one[1])]
-        keys = [X(n), V(n), B(n), *(key for _, key in known)]
-        joint = tree.jointMarginalCovariance(keys).fullMatrix()
-        T = FROM_GTSAM.copy()
-        T[strapdown.POSITION, 3:6] = gTb[:3, :3]
-        rate = gyro_at(self._descent, stamp_ns) - bias[:3]
-        # What this noise turned in its row is far less than the attitude's own error.
-        of_row = gyro_variance(self._descent, stamp_ns)
-        gV = tree.calculateEstimateVector(V(n))
-        sigmas = self._bank.sigmas
-        if not len(sigmas):
-            covariance = T @ joint @ T.T
-            covariance[_RATES, _RATES] += of_row
-            return FilterState(gTb, gV, rate, bias, covariance)
-        # A sensor that has not measured yet has the bias of its prior.
-        sensor_bias, measured = np.zeros(len(sigmas)), np.zeros(len(sigmas), dtype=np.bool_)
-        for part, key in known:
-            sensor_bias[part] = sigmas[part] * tree.calculateEstimateVector(key)
-            measured[part] = True
-        whole = np.zeros((strapdown.SIZE + len(sigmas), len(joint)))
-        whole[: strapdown.SIZE, :15] = T
-        whole[strapdown.SIZE + np.flatnonzero(measured), 15:] = np.diag(sigmas[measured])
-        covariance = whole @ joint @ whole.T
-        covariance[_RATES, _RATES] += of_row
-        rest = strapdown.SIZE + np.flatnonzero(~measured)
-        covariance[rest, rest] = sigmas[~measured] ** 2
-        return FilterState(gTb, gV, rate, bias, covariance, sensor_bias)
+        return math.sqrt(_position_variance(self._newest))
 
     def filtered(self) -> Trajectory:
         """Estimates at every frame so far, each from the data up to its frame."""
@@ -484,6 +446,12 @@ class OnlineSession:
         """
         values = self._solver.estimate()
         for key in values.keys():  # noqa: SIM118 (Values is no mapping)
-            if key >> INDEX_BITS == ord(SHARED_LETTER) and key & INDEX_MASK:
+            letter = chr(key >> INDEX_BITS)
+            if letter == APART_LETTER or (letter == SHARED_LETTER and key & INDEX_MASK):
                 values.erase(key)
         return values
+
+
+def _position_variance(state: FilterState) -> float:
+    """Sum of the variances along the axes, m^2."""
+    return float(np.trace(state.covariance[strapdown.POSITION, strapdown.POSITION]))

@@ -1,0 +1,182 @@
+"""The online smoother's trees with errors of rims: Cholesky factorisation, and QR where that fails."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import X
+
+from craternav_fg.bench.problems import tracked
+from craternav_fg.estimators import incremental, online_session
+from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.correlated_errors import ERROR_LETTER, SHARED_LETTER
+from craternav_fg.estimators.elimination import apart_key, newest_last
+from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.online_session import OnlineSession
+from tests.descents import assert_same_estimates
+
+REFUSAL = RuntimeError("\nIndeterminate linear system detected while working near variable\n")
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return tracked(30, 10)
+
+
+def run(p: Problem, *, by_qr: bool = False) -> OnlineSession:
+    session = OnlineSession(p)
+    session._solver._refused = by_qr
+    session.run(p)
+    assert session._solver.by_cholesky != by_qr
+    return session
+
+
+def poorly_known(p: Problem, factor: float) -> Problem:
+    """The same descent with an initial state, and rims, that many times less accurate."""
+    initial = replace(p.initial, position_sigma_m=factor * p.initial.position_sigma_m)
+    frames = []
+    for frame in p.frames:
+        rims = frame.rims
+        assert rims.correlated is not None
+        assert rims.shared is not None
+        rims = replace(
+            rims,
+            covariance=factor**2 * rims.covariance,
+            correlated=factor * rims.correlated,
+            shared=factor * rims.shared,
+        )
+        frames.append(replace(frame, rims=rims))
+    return replace(p, initial=initial, frames=frames)
+
+
+@pytest.mark.parametrize("case", ["usual", "poorly known", "long gap"])
+def test_covariances_keep_their_digits(case: str, problem: Problem) -> None:
+    p = problem
+    if case == "poorly known":
+        p = poorly_known(p, 30.0)
+    elif case == "long gap":
+        # Five minutes: the position is known to 10 m before, to a kilometre after.
+        p = tracked(90, 10)
+        p = replace(p, frames=[*p.frames[:8], *p.frames[82:]])
+    assert_same_estimates(run(p).filtered(), run(p, by_qr=True).filtered(), 1e-3)
+
+
+def test_an_accelerometer_that_ties_states_too_stiffly_is_left_to_qr(problem: Problem) -> None:
+    noise = replace(problem.imu_noise, accelerometer_density_m_s2_sqrt_hz=1e-7)
+    session = OnlineSession(replace(problem, imu_noise=noise))
+    session.run(problem)
+    assert not session._solver.by_cholesky
+
+
+def test_a_tree_without_errors_of_rims_has_neither_cholesky_nor_more_variables(problem: Problem) -> None:
+    session = OnlineSession(problem, GraphOptions(rim_errors=None))
+    session.run(problem)
+    assert not session._solver.by_cholesky
+    assert session._solver.trees == 1
+    values = session.smoothed_values()
+    assert values.size() == session._solver.tree.getLinearizationPoint().size()
+    assert {chr(gtsam.Symbol(key).chr()) for key in values.keys()} == set("xvb")  # noqa: SIM118
+
+
+@pytest.mark.parametrize("at", [0, 5])
+def test_goes_on_by_qr_where_an_update_is_refused(at: int, problem: Problem) -> None:
+    session = OnlineSession(problem)
+    apply, updates = session._solver._apply, []
+
+    def refusing(
+        graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
+    ) -> None:
+        apply(graph, values, time_s, drop)
+        updates.append(values)
+        if len(updates) == at + 1:
+            raise REFUSAL
+
+    session._solver._apply = refusing  # type: ignore[method-assign]
+    session.run(problem)
+    assert not session._solver.by_cholesky
+    assert_same_estimates(session.filtered(), run(problem).filtered(), 1e-3)
+
+
+def test_factors_are_dropped_once_where_their_replacement_is_refused(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Slots of a tree are void in the one that follows it."""
+    monkeypatch.setattr(online_session, "MIDPOINT_TOLERANCE_M", 0.01)
+    monkeypatch.setattr(online_session, "GRAVITY_SHIFT_SIGMAS", 0.0)
+    expected = run(problem)
+    session = OnlineSession(problem)
+    apply, refused = session._solver._apply, []
+
+    def refusing(
+        graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
+    ) -> None:
+        apply(graph, values, time_s, drop)
+        if len(drop) and not refused:
+            refused.append(drop)
+            raise REFUSAL
+
+    session._solver._apply = refusing  # type: ignore[method-assign]
+    session.run(problem)
+    assert refused
+    assert_same_estimates(session.filtered(), expected.filtered(), 1e-3)
+    factors = session._solver.tree.getFactorsUnsafe()
+    intervals = [
+        factors.at(slot)
+        for slot in range(factors.size())
+        if factors.exists(slot) and isinstance(factors.at(slot), gtsam.CombinedImuFactor)
+    ]
+    assert len(intervals) == session.frame_state_indices[-1]
+
+
+@pytest.mark.parametrize("why", ["refused", "digits"])
+def test_goes_on_by_qr_where_covariances_fail(
+    why: str, problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = run(problem).filtered()
+    if why == "digits":
+        monkeypatch.setattr(incremental, "MAX_ROUNDING", 1e-12)
+    else:
+        joint, calls = gtsam.ISAM2.jointMarginalCovariance, []
+
+        def refusing(tree: gtsam.ISAM2, keys: Sequence[int]) -> gtsam.JointMarginal:
+            calls.append(keys)
+            if len(calls) == 4:
+                raise REFUSAL
+            return joint(tree, keys)
+
+        monkeypatch.setattr(gtsam.ISAM2, "jointMarginalCovariance", refusing)
+    session = OnlineSession(problem)
+    session.run(problem)
+    assert not session._solver.by_cholesky
+    assert_same_estimates(session.filtered(), expected, 1e-3)
+
+
+def test_newest_state_and_the_errors_it_sees_are_eliminated_last() -> None:
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    r, s = (gtsam.symbol(letter, 4) for letter in (ERROR_LETTER, SHARED_LETTER))
+    unit = gtsam.noiseModel.Unit.Create(6)
+    for n in (7, 8):
+        values.insert(X(n), gtsam.Pose3())
+        graph.push_back(gtsam.PriorFactorPose3(X(n), gtsam.Pose3(), unit))
+    bias = gtsam.symbol("1", 0)
+    for letter, size in (("v", 3), ("b", 6)):
+        values.insert(gtsam.symbol(letter, 8), np.zeros(size))
+    for pose, error in ((X(7), gtsam.symbol(ERROR_LETTER, 2)), (X(8), r), (X(8), s), (X(8), bias)):
+        linear = gtsam.JacobianFactor(pose, np.eye(6), error, np.eye(6), np.zeros(6), unit)
+        at = gtsam.Values()
+        at.insert(pose, gtsam.Pose3())
+        at.insert(error, np.zeros(6))
+        graph.push_back(gtsam.LinearContainerFactor(linear, at))
+    factors = graph.size()
+    more, added, groups = newest_last(graph, values)
+    assert groups is not None
+    assert groups.size() == 7
+    assert [groups.at(key) for key in (r, s, X(8))] == [1, 1, 2]
+    assert [groups.at(key) for key in (gtsam.symbol("v", 8), gtsam.symbol("b", 8), bias)] == [3, 3, 3]
+    assert groups.at(apart_key(values)) == 4
+    # What the caller gave stays as it was.
+    assert (graph.size(), values.size()) == (factors, 4)
+    assert (more.size(), added.size()) == (factors + 1, 5)
+    assert newest_last(graph, gtsam.Values())[2] is None
