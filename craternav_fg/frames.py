@@ -83,8 +83,21 @@ def from_quaternion_wxyz(q: FloatArray) -> FloatArray:
     -------
     ndarray, shape (..., 3, 3)
         Rotations between the same frames.
+
+    Raises
+    ------
+    ValueError
+        When a quaternion is zero.
     """
-    return np.asarray(_rotation().from_quat(np.asarray(q), scalar_first=True).as_matrix())
+    q = np.asarray(q)
+    if q.shape == (4,):
+        # Commands on one image need one, and scipy takes long to import.
+        if not q @ q > 0.0:
+            raise ValueError(f"expected a quaternion of any length but zero, found {q}")
+        w, v = q[0], q[1:]
+        W = cross_matrix(v)
+        return np.asarray(np.eye(3) + 2.0 * (w * W + W @ W) / (q @ q))
+    return np.asarray(_rotation().from_quat(q, scalar_first=True).as_matrix())
 
 
 def to_quaternion_wxyz(R: FloatArray) -> FloatArray:
@@ -100,6 +113,15 @@ def to_quaternion_wxyz(R: FloatArray) -> FloatArray:
     ndarray, shape (..., 4)
         Unit Hamilton quaternions, scalar first and not negative.
     """
+    R = np.asarray(R)
+    if R.shape == (3, 3):
+        # As above. Four times the products of each component with all: the largest row is never small.
+        x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+        products = np.empty((4, 4))
+        products[1:, 1:] = R + R.T + (1.0 - np.trace(R)) * np.eye(3)
+        products[0] = products[:, 0] = 1.0 + np.trace(R), x, y, z
+        q = products[np.argmax(np.diag(products))]
+        return np.asarray(math.copysign(1.0, q[0]) * q / math.sqrt(q @ q))
     return np.asarray(_rotation().from_matrix(R).as_quat(canonical=True, scalar_first=True))
 
 

@@ -1,8 +1,10 @@
-"""Modules of a package as its attributes, imported when they are first used."""
+"""Modules of a package, and names that they define, as its attributes, imported when they are first used."""
 
 import importlib
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Mapping
 from types import ModuleType
+from typing import Any
 
 
 def submodules(package: str) -> Callable[[str], ModuleType]:
@@ -28,3 +30,29 @@ def submodules(package: str) -> Callable[[str], ModuleType]:
             raise AttributeError(f"module {package!r} has no attribute {name!r}") from None
 
     return module
+
+
+def names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+    """Make the `__getattr__` of a package that offers names of its modules, and the modules, on demand.
+
+    Parameters
+    ----------
+    package : str
+        Its name.
+    homes : mapping of str to str
+        Module of each name, in the package.
+
+    Returns
+    -------
+    callable
+    """
+    module = submodules(package)
+
+    def attribute(name: str) -> Any:
+        if name not in homes:
+            return module(name)
+        value = getattr(module(homes[name]), name)
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return attribute

@@ -82,6 +82,26 @@ def test_quaternions_are_scalar_first_and_of_any_length() -> None:
     assert_allclose(to_quaternion_wxyz(R), q, atol=1e-15)
 
 
+def test_one_quaternion_is_converted_as_many_are() -> None:
+    """One by its own formulas, many by scipy; half turns and almost half turns among them."""
+    rng = np.random.default_rng(8)
+    q = rng.normal(size=(300, 4))
+    q[:20, 0] = 0.0
+    q[20:40, 0] *= 1e-9
+    q[40:60, 1:] *= 1e-9
+    q[60:63, 1:] = 0.0
+    q[63:70, :3] = 0.0
+    R = from_quaternion_wxyz(q)
+    for one, its in zip(q, R, strict=True):
+        assert_allclose(from_quaternion_wxyz(one), its, atol=1e-14)
+        found, expected = to_quaternion_wxyz(its), to_quaternion_wxyz(its[None])[0]
+        # Of a half turn, both signs are right.
+        sign = 1.0 if expected[0] > 1e-12 else np.sign(found @ expected)
+        assert_allclose(found, sign * expected, atol=1e-14)
+    with pytest.raises(ValueError, match="any length but zero"):
+        from_quaternion_wxyz(np.zeros(4))
+
+
 def test_local_axes_of_places() -> None:
     latitude, longitude = np.array([0.0, 0.5, -1.2]), np.array([0.0, 2.5, -3.0])
     gRe = east_north_up(latitude, longitude)

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter1d
+
+# It loads its parts where they are first used: most commands read no elevation model.
+import scipy
 
 from craternav_fg.catalogs.bodies import SAME_BODY, SAME_SPHERE
 from craternav_fg.catalogs.map_projection import (
@@ -139,7 +141,7 @@ class Dem:
                 inside = np.minimum(inside, steps * step)
         if self.gap_steps is not None:
             # Beyond the raster, the border decides.
-            near = map_coordinates(self.gap_steps, [row, column], order=1, mode="nearest")
+            near = scipy.ndimage.map_coordinates(self.gap_steps, [row, column], order=1, mode="nearest")
             inside = np.minimum(inside, (near - _GAP_STEPS) * step)
         if self.frame[4] > 0.0:
             return np.asarray(inside)
@@ -226,11 +228,13 @@ def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None, *, 
     frame = frame_of(plane, first, (transform.a, transform.e), heights.shape[1])
     gap_steps = None
     if not known.all():
-        gap_steps = distance_transform_edt(known).astype(np.float32)
-        nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+        gap_steps = scipy.ndimage.distance_transform_edt(known).astype(np.float32)
+        nearest = scipy.ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
         heights = heights[tuple(nearest)]
-    rows = spline_filter1d(heights, 3, axis=0, mode="mirror")
-    coefficients = spline_filter1d(rows, 3, axis=1, mode="grid-wrap" if frame[4] > 0.0 else "mirror")
+    rows = scipy.ndimage.spline_filter1d(heights, 3, axis=0, mode="mirror")
+    coefficients = scipy.ndimage.spline_filter1d(
+        rows, 3, axis=1, mode="grid-wrap" if frame[4] > 0.0 else "mirror"
+    )
     return Dem(np.ascontiguousarray(coefficients, dtype=np.float32), frame, gap_steps)
 
 

@@ -4,6 +4,7 @@ A command's module is imported when the command is called: the help of all of th
 """
 
 import functools
+import gc
 import importlib
 import inspect
 import warnings
@@ -26,7 +27,22 @@ class _Lazy(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         """Find the command that the arguments name, and import it."""
         name, command, rest = super().resolve_command(ctx, args)
-        return name, command if name is None else _loaded([name]).commands[name], rest
+        if name is not None:
+            command = _loaded([name]).commands[name]
+            _search_for_garbage()
+        return name, command, rest
+
+
+def _search_for_garbage() -> None:
+    """Search for garbage again, see `cli.main`, though never among what was imported."""
+    _leave_out_present()
+    gc.enable()
+
+
+# Once: in one process, such as a test, many commands are called, and garbage of one would stay.
+@functools.cache
+def _leave_out_present() -> None:
+    gc.freeze()
 
 
 app = typer.Typer(

@@ -37,11 +37,9 @@ from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.matching.identify.detected import identify_detected
-from craternav_fg.matching.identify.from_image import identify_image
 from craternav_fg.matching.identify.search import Identification, IdentifyOptions, KnownAttitude
-from craternav_fg.matching.identify.triple_index import load_or_build
+from craternav_fg.matching.identify.triple_index import index_path, load_or_build
 from craternav_fg.pipeline.input_warnings import mounting_of_image
-from craternav_fg.pipeline.relocalisation import index_path
 from factors.arrays import FloatArray
 
 # A search needs room for the error of the attitude, also of one stated as exact, and gains nothing from one
@@ -107,6 +105,9 @@ def identify(
     if pixels is None:
         found = identify_detected(ellipses, traced, sensor, ready, known, options)
     else:
+        # Rims that are detected already need no detector.
+        from craternav_fg.matching.identify.from_image import identify_image
+
         detected, found = identify_image(pixels, sensor, ready, known, options)
         ellipses = detected.ellipses_px
     if found.identified:

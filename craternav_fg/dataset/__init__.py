@@ -2,15 +2,24 @@
 
 from typing import TYPE_CHECKING
 
-from craternav_fg.dataset.measurements import ground_sun_direction
-from craternav_fg.dataset.reader import Dataset
-from craternav_fg.dataset.recording import Recording
-from craternav_fg.dataset.sun import SunVectors
-from craternav_fg.dataset.writer import write_dataset
+if TYPE_CHECKING:
+    from craternav_fg.dataset.measurements import ground_sun_direction
+    from craternav_fg.dataset.reader import Dataset
+    from craternav_fg.dataset.recording import Recording
+    from craternav_fg.dataset.sun import SunVectors
+    from craternav_fg.dataset.writer import write_dataset
+else:
+    from factors.lazy import names
+
+    __getattr__ = names(
+        __name__,
+        {
+            "Dataset": "reader",
+            "Recording": "recording",
+            "SunVectors": "sun",
+            "ground_sun_direction": "measurements",
+            "write_dataset": "writer",
+        },
+    )
 
 __all__ = ["Dataset", "Recording", "SunVectors", "ground_sun_direction", "write_dataset"]
-
-if not TYPE_CHECKING:
-    from factors.lazy import submodules
-
-    __getattr__ = submodules(__name__)

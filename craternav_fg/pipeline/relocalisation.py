@@ -1,12 +1,9 @@
 """Relocalisation: the pose of an image that nothing predicts, from rims detected blindly and identified."""
 
-import hashlib
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
-import platformdirs
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
@@ -16,7 +13,7 @@ from craternav_fg.frames import rotate_position_block
 from craternav_fg.matching.gate import match_rims
 from craternav_fg.matching.identify.options import IdentifyOptions
 from craternav_fg.matching.identify.search import identify
-from craternav_fg.matching.identify.triple_index import TripleIndex, load_or_build
+from craternav_fg.matching.identify.triple_index import TripleIndex, index_path, load_or_build
 from craternav_fg.measurements import RimSet
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem, Status
 from craternav_fg.resection.robust import solve_robustly
@@ -48,22 +45,6 @@ class PoseFix:
     gTb: FloatArray
     pose_covariance: FloatArray
     rims: int
-
-
-def index_path(catalog: Path) -> Path:
-    """Return the default path of a catalogue's index for identification: in the user's cache.
-
-    Parameters
-    ----------
-    catalog : Path
-
-    Returns
-    -------
-    Path
-        Another one for each path of a catalogue.
-    """
-    place = hashlib.sha256(str(catalog.resolve()).encode()).hexdigest()[:12]
-    return platformdirs.user_cache_path("craternav_fg") / f"{catalog.stem}-{place}.index.npz"
 
 
 class Relocaliser:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import chdtri
 
 from craternav_fg import frames
 from craternav_fg.measurements import KnownAttitude
@@ -21,8 +20,8 @@ _MAX_DEPARTURE = 0.5
 # Where the cost is compared with the parabola, in standard deviations along the weakest direction.
 _STEPS = np.array([-2.0, -1.0, 1.0, 2.0])
 # Squared rotation from a known attitude, in its standard deviations, that a right one exceeds once in ten
-# million cases.
-_MOST_TURN = float(chdtri(3, 1e-7))
+# million cases: the quantile of chi-square. To compute it, scipy has to be imported, which takes long.
+_MOST_TURN = 35.4058
 # Power iterations for the weakest direction.
 _POWERS = 20
 

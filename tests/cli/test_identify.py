@@ -12,9 +12,9 @@ from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from craternav_fg import frames
 from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.files import write_catalog
-from craternav_fg.cli import identification
 from craternav_fg.dataset.sensor_files import camera_yaml
 from craternav_fg.errors import EstimationError
+from craternav_fg.matching.identify import from_image
 from craternav_fg.simulation.catalog_views import ViewOptions, random_view, synthetic_catalog
 from craternav_fg.simulation.scenes import MOON
 from tests.cli.calls import call
@@ -175,7 +175,7 @@ def test_pixels_of_the_declared_value_are_holes(case, identify, tmp_path, monkey
         searched.append(pixels)
         raise EstimationError("not searched")
 
-    monkeypatch.setattr(identification, "identify_image", spied)
+    monkeypatch.setattr(from_image, "identify_image", spied)
     assert identify(tmp_path / "frame.tif")[2].endswith("not searched\n")
     np.testing.assert_array_equal(searched[0][..., 1] == 0, image == 7)
 
@@ -188,6 +188,9 @@ def test_one_image_needs_neither_pandas_nor_gtsam(case, identify, tmp_path) -> N
     for command, rims in (("identify", folder / "rims.csv"), ("pose", matched)):
         program = command_line(command, str(rims), *files)
         assert not {"pandas", "gtsam", "matplotlib"} & set(imported_by(program)), command
+    program = command_line("identify", str(folder / "rims.csv"), *files)
+    parts = ("spatial", "special", "ndimage", "optimize")
+    assert imported_by(program, [f"scipy.{part}" for part in parts]) == []
 
 
 def test_results_never_overwrite_what_they_are_from(case, identify) -> None:

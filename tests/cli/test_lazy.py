@@ -7,6 +7,7 @@ import pkgutil
 import subprocess
 import sys
 import types
+from collections.abc import Sequence
 
 import pytest
 
@@ -15,9 +16,9 @@ import craternav_fg
 HEAVY = ("numba", "gtsam", "cv2", "scipy", "matplotlib", "pyarrow", "pandas", "pydantic", "numpy")
 
 
-def imported_by(program: str) -> list[str]:
-    """Heavy modules that a Python program has imported at its end."""
-    ending = f"\nimport sys\nprint([name for name in {HEAVY!r} if name in sys.modules])"
+def imported_by(program: str, modules: Sequence[str] = HEAVY) -> list[str]:
+    """Those of some modules that a Python program has imported at its end."""
+    ending = f"\nimport sys\nprint([name for name in {modules!r} if name in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", program + ending], capture_output=True, text=True, check=True
     )

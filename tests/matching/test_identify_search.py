@@ -22,7 +22,7 @@ from craternav_fg.matching.identify.triple_search import (
     project_all_to_sphere,
     search_triples,
 )
-from craternav_fg.matching.identify.view import view_of
+from craternav_fg.matching.identify.view import distinct_rows, view_of
 from craternav_fg.simulation.catalog_views import ViewOptions, random_view, square_camera
 from craternav_fg.simulation.scenes import MOON
 from tests.catalogs.population import power_law_population
@@ -56,6 +56,22 @@ def test_neighbours_in_the_image_are_the_nearest(synthetic) -> None:
     np.testing.assert_array_equal(image_order(view, rims, 5), rims[np.argsort(apart, axis=1)[:, :5]])
     assert image_order(view, rims[:3], 5).shape == (len(view.charts), 3)
     assert image_order(view, rims[:0], 5).shape == (len(view.charts), 0)
+
+
+def test_rows_that_repeat_one_before_them_are_left_out() -> None:
+    """One that repeats a row left out is kept; a hundred thousand equal ones take no time."""
+    rng = np.random.default_rng(23)
+    rows = np.round(rng.uniform(0.0, 1.0, (60, 5)), 1)
+    ellipses = 0.03 * np.round(rows[rng.integers(0, 60, 2000)] + 2.0 * rng.integers(-1, 2, (2000, 5)))
+    apart = np.abs(ellipses[:, None, :4] - ellipses[:, :4]).max(axis=-1) <= 0.05
+    kept: list[int] = []
+    for i in range(len(ellipses)):
+        if not apart[i, kept].any():
+            kept.append(i)
+    np.testing.assert_array_equal(distinct_rows(ellipses), kept)
+    assert 5 < len(kept) < 1000
+    assert distinct_rows(np.ones((100_000, 5))).tolist() == [0]
+    assert distinct_rows(np.empty((0, 5))).tolist() == []
 
 
 def test_single_rims_are_tried_within_bounds(synthetic, monkeypatch) -> None:

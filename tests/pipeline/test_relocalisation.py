@@ -14,12 +14,12 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
 from craternav_fg.matching.gate import match_rims
-from craternav_fg.matching.identify.triple_index import TripleIndex
+from craternav_fg.matching.identify.triple_index import TripleIndex, index_path
 from craternav_fg.measurements import RimSet
 from craternav_fg.pipeline import relocalisation
 from craternav_fg.pipeline.initial_state import find_initial, propagated_back
 from craternav_fg.pipeline.reconstruct import _joined, reconstruct
-from craternav_fg.pipeline.relocalisation import Relocaliser, index_path
+from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.tracking import Tracker
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 from scipy.optimize import least_squares
+from scipy.stats import chi2
 
 from craternav_fg import frames
 from craternav_fg.ellipse import chart_covariance
 from craternav_fg.errors import EstimationError
 from craternav_fg.measurements import KnownAttitude, SunTilt
+from craternav_fg.resection import caveats
 from craternav_fg.resection.efficient import SolveOptions, refine, solve
 from craternav_fg.resection.problem import (
     MatchedRims,
@@ -343,3 +345,7 @@ def test_a_prior_and_an_attitude_do_not_go_together() -> None:
         KnownAttitude(2.0 * np.eye(3))
     with pytest.raises(ResectionError, match=r"prior\.covariance"):
         PosePrior(scene.gTb, -np.eye(6))
+
+
+def test_the_largest_turn_is_a_quantile() -> None:
+    assert pytest.approx(chi2.isf(1e-7, 3), abs=1e-4) == caveats._MOST_TURN

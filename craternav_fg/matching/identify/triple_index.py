@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import platformdirs
 
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
@@ -199,6 +200,22 @@ class TripleIndex:
         if t.dims.max() >= kd_tree.DIMENSIONS:
             return "a node is split in no dimension"
         return None
+
+
+def index_path(catalog: Path) -> Path:
+    """Return the default path of a catalogue's index for identification: in the user's cache.
+
+    Parameters
+    ----------
+    catalog : Path
+
+    Returns
+    -------
+    Path
+        Another one for each path of a catalogue.
+    """
+    place = hashlib.sha256(str(catalog.resolve()).encode()).hexdigest()[:12]
+    return platformdirs.user_cache_path("craternav_fg") / f"{catalog.stem}-{place}.index.npz"
 
 
 def load_or_build(path: Path, catalog: Catalog) -> tuple[TripleIndex, str]:

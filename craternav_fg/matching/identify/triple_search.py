@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from craternav_fg.catalogs.sphere_index import SphereIndex
 from craternav_fg.matching.identify.craters import Craters, density
@@ -198,10 +197,27 @@ def image_order(view: View, rims: IntArray, count: int) -> Int32Array:
     ndarray of int32, shape (n, l)
         Neighbours of each of the view's rims, nearest first: itself if it is one of `rims`.
     """
-    nearest = np.arange(1, min(count, len(rims)) + 1)
-    if not len(nearest):
-        return np.empty((len(view.points_px), 0), dtype=np.int32)
-    return rims[cKDTree(view.points_px[rims]).query(view.points_px, nearest)[1]].astype(np.int32)
+    order = _nearest(view.points_px, view.points_px[rims], min(count, len(rims)))
+    return rims[order].astype(np.int32)
+
+
+@njit(cache=True, error_model="numpy")
+def _nearest(points: FloatArray, among: FloatArray, count: int) -> npt.NDArray[np.int64]:
+    """Rows (n, count) of the points (m, 2) that are nearest to each of points (n, 2), nearest first."""
+    out = np.empty((len(points), count), dtype=np.int64)
+    d2 = np.empty(count)
+    for i in range(len(points)):
+        d2[:] = np.inf
+        for j in range(len(among)):
+            away = (points[i, 0] - among[j, 0]) ** 2 + (points[i, 1] - among[j, 1]) ** 2
+            k = count
+            while k > 0 and away < d2[k - 1]:
+                k -= 1
+            if k < count:
+                for later in range(count - 1, k, -1):
+                    d2[later], out[i, later] = d2[later - 1], out[i, later - 1]
+                d2[k], out[i, k] = away, j
+    return out
 
 
 def image_triples(view: View, projection: Projection, rims: IntArray, count: int, sigma: float) -> Int32Array:

@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import chart_of_axes, matrix_of_chart
 from craternav_fg.undistortion import seen_through_lens
 from factors.arrays import FloatArray
+from factors.kernels.compiled import njit
 
 # Points along each side of the image, by which its undistorted bounds are found.
 _BORDER_POINTS = 9
@@ -136,13 +136,25 @@ def distinct_rows(ellipses_px: FloatArray) -> npt.NDArray[np.int64]:
     ndarray of int, shape (m,)
         Rows.
     """
-    kept = np.ones(len(ellipses_px), dtype=np.bool_)
-    tree = cKDTree(ellipses_px[:, :4])
-    near = tree.query_ball_point(ellipses_px[:, :4], _SAME_PX, p=np.inf, return_length=True)
-    # In the order of the rows: one that repeats a row left out is kept. Lists of all rows at once would grow
-    # with the square of the repetitions.
-    for i in np.flatnonzero(near > 1):
-        if kept[i]:
-            same = np.array(tree.query_ball_point(ellipses_px[i, :4], _SAME_PX, p=np.inf))
-            kept[same[same > i]] = False
-    return np.flatnonzero(kept)
+    return np.flatnonzero(_distinct(np.argsort(ellipses_px[:, 0]), np.ascontiguousarray(ellipses_px[:, :4])))
+
+
+@njit(cache=True, error_model="numpy")
+def _distinct(by_first: npt.NDArray[np.int64], rows: FloatArray) -> npt.NDArray[np.bool_]:
+    """Whether rows (n, 4) repeat none before them that is kept; their order by the first number."""
+    kept = np.ones(len(rows), dtype=np.bool_)
+    place = np.empty(len(rows), dtype=np.int64)
+    for k in range(len(rows)):
+        place[by_first[k]] = k
+    # In the order of the rows: one that repeats a row left out is kept.
+    for i in range(len(rows)):
+        if not kept[i]:
+            continue
+        for step in (-1, 1):
+            k = place[i] + step
+            while 0 <= k < len(rows) and abs(rows[by_first[k], 0] - rows[i, 0]) <= _SAME_PX:
+                j = by_first[k]
+                if j > i and np.abs(rows[j] - rows[i]).max() <= _SAME_PX:
+                    kept[j] = False
+                k += step
+    return kept
