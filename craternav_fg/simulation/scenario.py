@@ -1,6 +1,7 @@
 """Simulation of a scenario: from its file to a data set on disk."""
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -17,6 +18,7 @@ from craternav_fg.sensors.protocol import Sensor, Surroundings
 from craternav_fg.simulation import faults, sensors
 from craternav_fg.simulation.other_sensors import simulate_sensors, simulate_tracks
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
+from craternav_fg.simulation.terrain import VIEWS_AT_ONCE
 from craternav_fg.simulation.trajectory import Track
 from craternav_fg.simulation.world import World, make_world
 from craternav_fg.trajectory import InitialState, Trajectory
@@ -133,7 +135,7 @@ def _exposures_s(world: World) -> FloatArray:
 
 
 def _images(world: World, rng: np.random.Generator, progress: Progress | None) -> Iterator[ImageArray]:
-    """Render the images one by one, each while the one before it is exposed and written."""
+    """Render the images in their order, some while the ones before are exposed and written."""
     render = world.scenario.render
     assert render is not None
     renderer, times_s = world.renderer(), _exposures_s(world)
@@ -144,12 +146,12 @@ def _images(world: World, rng: np.random.Generator, progress: Progress | None) -
     def light(k: int) -> npt.NDArray[np.float32]:
         return renderer.light(poses[k], suns[k], (begin[k], end[k]) if half_s > 0.0 else None)
 
-    with ThreadPoolExecutor(1) as beside:
-        coming = beside.submit(light, 0)
+    with ThreadPoolExecutor(VIEWS_AT_ONCE) as beside:
+        coming = deque(beside.submit(light, k) for k in range(min(VIEWS_AT_ONCE, len(suns))))
         for k, sun_g in enumerate(suns):
-            here = coming.result()
-            if k + 1 < len(suns):
-                coming = beside.submit(light, k + 1)
+            here = coming.popleft().result()
+            if k + VIEWS_AT_ONCE < len(suns):
+                coming.append(beside.submit(light, k + VIEWS_AT_ONCE))
             yield renderer.expose(here, sun_g, rng)
             if progress is not None:
                 progress(k + 1, len(suns))

@@ -8,6 +8,7 @@ it, and roughness and the flanks of smaller craters fade out quadratically withi
 """
 
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -67,6 +68,8 @@ _MIN_SHARE = 0.3
 # The shortest octave and the smallest craters fade out over this share of a grid from its border; further
 # inside by `_BORDER` cells, heights do not depend on where the border is.
 _FADES, _BORDER = 16, 16
+# Views whose grids are in use at the same time, at most: what one waits for, the other has time to do.
+VIEWS_AT_ONCE = 2
 # Parts into which a whole grid, or the rays of an image, are divided among threads.
 _PARTS = 8
 # Craters beyond 60 deg from the site are left out: the plane stretches them too much.
@@ -176,11 +179,12 @@ class Terrain:
             small[:, COL_HEIGHT] = np.nan
             self._craters = np.concatenate([self._craters, small])
             self._offsets_m = np.concatenate([self._offsets_m, np.full(len(small), np.nan)])
-        slots = options.levels + 2
+        slots = max(VIEWS_AT_ONCE * options.levels, options.levels + 2)
         self._heights = np.empty((slots, options.cells, options.cells), np.float32)
         self._grids: list[_Grid | None] = [None] * slots
         self._oldest = list(range(slots))
         self._pool = ThreadPoolExecutor(os.cpu_count() or 1)
+        self._building = threading.Lock()
 
     def _rows(self, catalog: Catalog) -> FloatArray:
         """Craters (n, 34) for `stamping.stamp`, largest first."""
@@ -265,6 +269,9 @@ class Terrain:
     def levels(self, low: FloatArray, high: FloatArray, nearest: FloatArray, pixel_m: float) -> Levels:
         """Return grids that cover a view; those of earlier views are used again where they fit.
 
+        They are as they should be until so many further views as `VIEWS_AT_ONCE` have theirs. Threads may
+        call it at the same time.
+
         Parameters
         ----------
         low, high : ndarray, shape (2,)
@@ -278,6 +285,10 @@ class Terrain:
         -------
         Levels
         """
+        with self._building:
+            return self._levels(low, high, nearest, pixel_m)
+
+    def _levels(self, low: FloatArray, high: FloatArray, nearest: FloatArray, pixel_m: float) -> Levels:
         options = self.options
         finest = int(np.floor(np.log2(options.cell_px * pixel_m)))
         used: list[int] = []
