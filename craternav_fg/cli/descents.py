@@ -48,7 +48,6 @@ def demo(
     require_free(output, force=force)
     case = chosen(scenario, seed, data)
 
-    from craternav_fg.runs.execute import execute_run
     from craternav_fg.runs.warm_up import warming_up
     from craternav_fg.simulation.scenario import simulate as simulate_scenario
 
@@ -56,6 +55,9 @@ def demo(
         with warming_up():
             simulate_scenario(case, folder / DATASET, trial=trial, progress=_simulated(report))
         simulated_s = time.perf_counter() - began_s
+
+        from craternav_fg.runs.execute import execute_run
+
         summary = execute_run(
             Dataset.open(folder / DATASET),
             folder,

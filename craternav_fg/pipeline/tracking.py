@@ -18,6 +18,7 @@ from craternav_fg.linalg import squared_distance
 from craternav_fg.matching.acquire.search import acquire, craters_in_reach, image_spread_px
 from craternav_fg.matching.gate import match_rims
 from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
+from craternav_fg.pipeline.images_ahead import ImagesAhead
 from craternav_fg.pipeline.initial_state import initial_from_fix, propagated_back
 from craternav_fg.pipeline.relocalisation import PoseFix, Relocaliser
 from craternav_fg.sun_in_image import sun_angle_in_image
@@ -141,6 +142,7 @@ class Tracker:
         self.front_end = front_end
         self.relocaliser = relocaliser
         self.repeated = repeated
+        self._images = ImagesAhead(dataset)
         self._bank = SensorBank(descent.sensors)
         pooled = PooledErrors(dataset.camera, dataset.catalog)
         self._track = _Track(OnlineSession(descent), pooled, [Segment(0, descent.initial)], [])
@@ -307,7 +309,7 @@ class Tracker:
         if near is not None:
             return self._guided(index, near.gTb, near.pose_covariance)
         sun = data.sun.at(int(data.stamps_ns[index]))
-        found = acquire(data.image(index), data.camera, data.catalog, gTb, covariance, sun)
+        found = acquire(self._images.image(index), data.camera, data.catalog, gTb, covariance, sun)
         if found is not None:
             return self._guided(index, found.gTb, found.pose_covariance)
         guided = self._guided(index, gTb, covariance)
@@ -323,7 +325,7 @@ class Tracker:
         """Measure an image near a pose, without the rims that fit another crater as well."""
         data = self.dataset
         stamp = int(data.stamps_ns[index])
-        frame = self.front_end.measure(data.image(index), stamp, gTb, covariance, data.sun.at(stamp))
+        frame = self.front_end.measure(self._images.image(index), stamp, gTb, covariance, data.sun.at(stamp))
         rims = frame.rims
         found = match_rims(rims.chart, rims.covariance, data.camera.pinhole, data.catalog, gTb, covariance)
         other = (found.craters >= 0) & (found.craters != rims.craters)

@@ -1,8 +1,10 @@
 """Compile the kernels by using each once, on small problems; the compiled code stays on disk."""
 
+import importlib
 import multiprocessing
 import signal
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -11,8 +13,6 @@ from pathlib import Path
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.registry import DEFAULT
-from craternav_fg.pipeline.reconstruct import reconstruct
-from craternav_fg.runs.execute import execute_run
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.vision.edge_kernel import trace_rim
 from factors.kernels.compiled import is_cached
@@ -67,9 +67,18 @@ def warm_up(folder: Path) -> Dataset:
 
 @contextmanager
 def warming_up() -> Iterator[None]:
-    """Compile what a reconstruction needs in other processes, unless it is there; wait for their end."""
+    """Prepare a reconstruction while something else is done, and wait for the end.
+
+    What it needs is compiled in other processes; where it has been, a thread imports it.
+    """
     if is_warm():
-        yield
+        # Rendering needs the interpreter little.
+        thread = threading.Thread(target=importlib.import_module, args=("craternav_fg.runs.execute",))
+        thread.start()
+        try:
+            yield
+        finally:
+            thread.join()
         return
     with tempfile.TemporaryDirectory(prefix="craternav-") as folder, _compiling(Path(folder)):
         yield
@@ -95,6 +104,8 @@ def _compiling(folder: Path) -> Iterator[None]:
 
 def _measured(folder: Path) -> None:
     """Run all estimators on measured rims, with figures."""
+    from craternav_fg.runs.execute import execute_run
+
     _ignore_interrupts()
     data = _data(folder, "measured", MEASURED)
     (folder / "run").mkdir()
@@ -105,6 +116,8 @@ def _measured(folder: Path) -> None:
 
 def _rendered(folder: Path) -> None:
     """Reconstruct from images."""
+    from craternav_fg.pipeline.reconstruct import reconstruct
+
     _ignore_interrupts()
     data = _data(folder, "rendered", RENDERED)
     with suppress(CraternavError):

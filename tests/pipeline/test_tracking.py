@@ -13,6 +13,7 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.matching.gate import Matches
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline import tracking
+from craternav_fg.pipeline.images_ahead import ImagesAhead
 from craternav_fg.pipeline.relocalisation import PoseFix
 from craternav_fg.pipeline.tracking import Tracker, _Guided, _Track
 from craternav_fg.simulation.scenario import simulate
@@ -37,6 +38,7 @@ def tracker_of(data: Dataset) -> Any:
     tracker.dataset = data
     tracker.front_end = SimpleNamespace(options=GuidedOptions())
     tracker._poor_frames = 0
+    tracker._images = ImagesAhead(data)
     return tracker
 
 
