@@ -6,6 +6,9 @@ images place it to metres: the very last state, in one clique with its neighbour
 state has a stiff neighbour left when it is eliminated.
 """
 
+from collections.abc import Iterable
+from typing import NamedTuple
+
 import gtsam
 import numpy as np
 
@@ -103,9 +106,26 @@ def rounding(information: FloatArray, covariance: FloatArray) -> float:
     return float(np.finfo(np.float64).eps * np.max(information * np.diag(covariance)))
 
 
+class Order(NamedTuple):
+    """Groups of variables, which iSAM2 eliminates in the order of their numbers; all others are in group 0.
+
+    GTSAM writes beyond its arrays where a number is not below that of the variables that it orders.
+
+    Attributes
+    ----------
+    update : gtsam.KeyGroupMap
+        Of an update with a new state: three numbers, and at least four variables are ordered.
+    later : gtsam.KeyGroupMap
+        Of the updates until the next state: two, and at least three.
+    """
+
+    update: gtsam.KeyGroupMap
+    later: gtsam.KeyGroupMap
+
+
 def newest_last(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
-) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, gtsam.KeyGroupMap | None]:
+) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, Order | None]:
     """Order an update of iSAM2: last what the next frame changes, the newest state in a clique of its own.
 
     Errors of the newest rims come before it. GTSAM's own order keeps at the root all that new factors
@@ -123,33 +143,36 @@ def newest_last(
     -------
     graph, values
         With what sets the newest state apart.
-    groups : gtsam.KeyGroupMap or None
-        The order; None where there is no new state.
+    order : Order or None
+        None where there is no new state, or nothing ties its pose to its velocity, as in a first image.
     """
     newest = _newest(values)
-    if newest < 0:
-        return graph, values, None
-    pose, apart = gtsam.symbol(_POSE, newest), apart_key(values)
+    pose, velocity, *others = (gtsam.symbol(letter, max(newest, 0)) for letter in STATE_LETTERS)
     involved = [keys for keys in (graph.at(n).keys() for n in range(graph.size())) if pose in keys]
-    groups = gtsam.KeyGroupMap()
-    for key in {key for keys in involved for key in keys}:
-        letter = key >> INDEX_BITS
-        if letter in _RIM_ERRORS:
-            groups.insert2(key, 1)
-        elif letter in _BIASES:
-            groups.insert2(key, 3)
-    groups.insert2(pose, 2)
-    for key in (gtsam.symbol(other, newest) for other in _OTHERS):
-        if values.exists(key):
-            groups.insert2(key, 3)
-    groups.insert2(apart, 4)
+    if newest < 0 or not any(velocity in keys for keys in involved):
+        return graph, values, None
+    apart = apart_key(values)
+    known = {key for keys in involved for key in keys}
+    biases = {key for key in known if key >> INDEX_BITS in _BIASES}
+    last = {velocity, apart, *biases, *(key for key in others if values.exists(key))}
+    errors = {key for key in known if key >> INDEX_BITS in _RIM_ERRORS}
+    order = Order(_groups(errors, {pose}, last), _groups({pose}, last))
     point = gtsam.Values()
     point.insert(pose, values.atPose3(pose))
     point.insert(apart, np.zeros(1))
     graph, values = gtsam.NonlinearFactorGraph(graph), gtsam.Values(values)
     graph.push_back(gtsam.LinearContainerFactor(separating_factor(pose, apart), point))
     values.insert(apart, np.zeros(1))
-    return graph, values, groups
+    return graph, values, order
+
+
+def _groups(*keys: Iterable[int]) -> gtsam.KeyGroupMap:
+    """Give groups of keys the numbers from 1 on."""
+    groups = gtsam.KeyGroupMap()
+    for number, some in enumerate(keys, start=1):
+        for key in some:
+            groups.insert2(key, number)
+    return groups
 
 
 def has_rim_errors(values: gtsam.Values) -> bool:

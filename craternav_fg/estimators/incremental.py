@@ -257,11 +257,12 @@ class Isam:
         if not self._with_errors:
             self._tree.update(graph, values, drop)
             return
-        order = self._order
+        order = None
         if values.size():
             graph, values, order = newest_last(graph, values)
-        self._tree.update(graph, values, drop, order)
-        self._order = order
+        self._tree.update(graph, values, drop, self._order if order is None else order.update)
+        if order is not None:
+            self._order = order.later
 
     def _count(self, added: gtsam.Values) -> None:
         """Count tracked points, and see whether a snapshot can hand on all others, and which are errors."""
