@@ -144,12 +144,19 @@ def _told(errors: dict[str, Any], *, has_heights: bool) -> list[str]:
             f"  errors      each crater: place {errors['place_sigma_m']:.0f} m, size "
             f"{100.0 * errors['size_sigma_share']:.1f} %, height {errors['height_sigma_m']:.0f} m (medians)"
         )
+    shared = errors.get("common_shift", [])
     lines += [
-        f"              {one['craters']:,} craters of source {one['source']} in common: place "
-        f"{_metres(one['place_sigma_m'])}, height {_metres(one['height_sigma_m'])}"
-        for one in errors.get("common_shift", [])[:_MAX_PRINTED]
+        f"              {_whose(one, alone=len(shared) == 1)}: place {_metres(one['place_sigma_m'])}, height "
+        f"{_metres(one['height_sigma_m'])}"
+        for one in shared[:_MAX_PRINTED]
     ]
     return lines
+
+
+def _whose(shift: dict[str, Any], *, alone: bool) -> str:
+    """Say which craters are displaced together."""
+    which = "all craters" if alone else f"the {shift['craters']:,} craters of source {shift['source']}"
+    return f"shift of {which} together"
 
 
 def _metres(sigma: float | None) -> str:

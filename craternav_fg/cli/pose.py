@@ -140,8 +140,9 @@ def _show(values: dict[str, Any]) -> None:
     for found in values["poses"]:
         show_pose(found, f"probability {found['probability']:.3f}: ")
     if values["poses"]:
-        scatter = f"standard deviations of the rims times {values['sigma_scale']:.3g}"
-        say(f"{scatter}{focal_text(values)}")
+        scale = values["sigma_scale"]
+        told = "as in the file" if scale == 1.0 else f"{scale:.3g} times those of the file"
+        say(f"standard deviations of the rims {told}{focal_text(values)}")
 
 
 def _require_pose(result: ResectionResult) -> None:
