@@ -11,6 +11,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation
 
 from craternav_fg.files import replacing
 from factors.arrays import FloatArray
@@ -104,6 +105,14 @@ def finish(axes: Axes) -> None:
     axes.margins(x=0.01)
 
 
+def number_plainly(figure: Figure) -> None:
+    """Write numbers at the decades of logarithmic axes, in place of powers of ten."""
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if isinstance(axis.get_major_formatter(), LogFormatterSciNotation):
+                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
 def seconds_since_first(stamps_ns: npt.NDArray[np.int64]) -> FloatArray:
     """Return the times since the first stamp.
 
@@ -135,6 +144,7 @@ def save(figure: Figure, path: Path, dpi: int = 110) -> None:
     InputError
         When `path` is a folder or cannot be written.
     """
+    number_plainly(figure)
     canvas = FigureCanvasAgg(figure)
     with replacing(path) as temporary:
         if path.suffix == ".png":

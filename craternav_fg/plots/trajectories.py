@@ -252,6 +252,7 @@ def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Cata
     below.set_ylabel("crossrange, km")
     above.set_ylabel("altitude, km")
     above.legend(frameon=False)
+    below.set_title("ground track and catalogued craters", fontsize="medium")
     for axes in (above, below):
         axes.grid(alpha=0.3)
     return figure

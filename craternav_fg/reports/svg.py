@@ -10,6 +10,8 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from craternav_fg.plots.style import number_plainly
+
 # So narrow that the letters of a drawing have the size of the text, also on a telephone.
 WIDTH_IN = 5.0
 # matplotlib gives the parts of every figure the same identifiers; in a page each may occur once.
@@ -58,6 +60,7 @@ def inline_svg(figure: Figure, name: str) -> Markup:
     out = io.StringIO()
     # Text stays text: it can be searched and read aloud, and is a tenth as long as outlines.
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name, "font.family": "sans-serif"}):
+        number_plainly(figure)
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     svg = out.getvalue()
     svg = svg[svg.index("<svg") :]

@@ -76,11 +76,28 @@ def test_a_vertical_descent_and_a_single_frame_are_drawn(tmp_path: Path, frames_
 def test_a_figure_is_saved_as_matplotlib_would(tmp_path: Path) -> None:
     # It draws the figure twice for that.
     t, truth = straight_down(9, off=1.0), straight_down(9)
-    trajectories.draw_errors({"smoother": t}, truth, [3] * 9).savefig(tmp_path / "expected.png", dpi=80)
+    expected = trajectories.draw_errors({"smoother": t}, truth, [3] * 9)
+    style.number_plainly(expected)
+    expected.savefig(tmp_path / "expected.png", dpi=80)
     style.save(trajectories.draw_errors({"smoother": t}, truth, [3] * 9), tmp_path / "found.png", 80)
     expected, found = (cv2.imread(str(tmp_path / name)) for name in ("expected.png", "found.png"))
     assert expected.shape == (800, 720, 3)
     np.testing.assert_array_equal(found, expected)
+
+
+def test_decades_are_plain_numbers() -> None:
+    figure = Figure()
+    axes, other = figure.subplots(2)
+    axes.loglog([0.01, 1e4], [1e-7, 1e7])
+    # A choice of one's own stays.
+    other.set_xscale("log")
+    other.set_xticks([3.0], ["three"])
+    style.number_plainly(figure)
+    figure.canvas.draw()
+    labels = [one.get_text() for one in axes.get_xticklabels()]
+    assert {"0.01", "1", "100"} <= set(labels)
+    assert not any("$" in one.get_text() for one in axes.get_yticklabels())
+    assert [one.get_text() for one in other.get_xticklabels()] == ["three"]
 
 
 def test_low_altitudes_are_in_metres() -> None:
