@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import gtsam
 import numpy as np
@@ -15,7 +16,9 @@ from craternav_fg.estimators.correlated_errors import ERROR_LETTER, SHARED_LETTE
 from craternav_fg.estimators.elimination import apart_key, newest_last
 from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.online_session import OnlineSession
+from craternav_fg.measurements import MAP_SIZE
 from tests.descents import assert_same_estimates
+from tests.estimators.test_incremental import with_other_sensors
 
 REFUSAL = RuntimeError("\nIndeterminate linear system detected while working near variable\n")
 
@@ -60,6 +63,20 @@ def test_covariances_keep_their_digits(case: str, problem: Problem) -> None:
         # Five minutes: the position is known to 10 m before, to a kilometre after.
         p = tracked(90, 10)
         p = replace(p, frames=[*p.frames[:8], *p.frames[82:]])
+    assert_same_estimates(run(p).filtered(), run(p, by_qr=True).filtered(), 1e-3)
+
+
+def test_beside_other_sensors_and_tracked_points(tmp_path: Path) -> None:
+    altimeter = {"rate_hz": 0.5, "bias_sigma_m": 20.0}
+    p = with_other_sensors(tmp_path, {"features": {"simulation": {"count": 30}}, "altimeter": altimeter})
+    frames = []
+    for frame in p.frames:
+        A = 0.9 * np.linalg.cholesky(frame.rims.covariance)
+        of_map = np.concatenate([0.3 * A, np.zeros((len(A), 5, MAP_SIZE - 5))], axis=2)
+        frames.append(replace(frame, rims=replace(frame.rims, correlated=A, of_map=of_map)))
+    p = replace(p, frames=frames)
+    assert p.features is not None
+    assert p.sensors
     assert_same_estimates(run(p).filtered(), run(p, by_qr=True).filtered(), 1e-3)
 
 
