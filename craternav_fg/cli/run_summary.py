@@ -149,7 +149,8 @@ def calibration_line(found: dict[str, Any]) -> str:
     for name, one in found.get("sensor_biases", {}).items():
         pairs = zip(one["bias"], one["sigma"], strict=True)
         values = ", ".join(f"{bias:.3g} ± {sigma:.2g}" for bias, sigma in pairs)
-        parts.append(f"a bias of {name} of {values}")
+        unit = one.get("unit")
+        parts.append(f"a bias of {name} of {values}{f' {unit}' if unit else ''}")
     return "; ".join(parts)
 
 

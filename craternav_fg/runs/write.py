@@ -15,7 +15,7 @@ import tomli_w
 
 import craternav_fg
 from craternav_fg import frames
-from craternav_fg.catalogs.model import Catalog
+from craternav_fg.estimators.base import Descent
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.evaluation.truth_check import doubted_truth
 from craternav_fg.pipeline.result import FILTER, Reconstruction
@@ -60,11 +60,11 @@ def write_run(
     estimators: dict[str, dict[str, Any]] = {
         name: dict(metrics(t, truth).as_dict()) for name, t in result.trajectories.items()
     }
-    catalog = result.problems[0].catalog
+    descent = result.problems[0]
     for name, trajectory in result.trajectories.items():
         estimators[name]["rim_outlier_share"] = result.outlier_shares[name]
         if trajectory.calibrated is not None:
-            each = [_calibrated(part.calibrated or Calibrated(), catalog) for part in trajectory.segments()]
+            each = [_calibrated(part.calibrated or Calibrated(), descent) for part in trajectory.segments()]
             estimators[name]["calibrated"] = each[-1]
             if len(each) > 1:
                 estimators[name]["calibrated_segments"] = each
@@ -142,8 +142,9 @@ def _innovations(result: Reconstruction) -> dict[str, Any] | None:
     return {"filter": FILTER, "images": result.predicted is not None, "nis": found.as_dict()}
 
 
-def _calibrated(found: Calibrated, catalog: Catalog) -> dict[str, Any]:
+def _calibrated(found: Calibrated, descent: Descent) -> dict[str, Any]:
     """Return the estimated calibration as plain data, craters by their identifiers."""
+    identifiers = descent.catalog.identifiers
     out: dict[str, Any] = {}
     if found.mounting_rad is not None:
         out["mounting_deg"], out["mounting_sigma_deg"] = (
@@ -153,17 +154,24 @@ def _calibrated(found: Calibrated, catalog: Catalog) -> dict[str, Any]:
         out["time_offset_s"], out["time_offset_sigma_s"] = found.time_offset_s
     if found.map_errors is not None:
         out["map_errors"] = {
-            catalog.identifiers[row]: {"error": error.tolist(), "sigma": sigma.tolist()}
+            identifiers[row]: {"error": error.tolist(), "sigma": sigma.tolist()}
             for row, (error, sigma) in found.map_errors.items()
         }
     if found.intrinsics is not None:
         out["intrinsics"], out["intrinsics_sigma"] = (part.tolist() for part in found.intrinsics)
     if found.sensor_biases is not None:
         out["sensor_biases"] = {
-            name: {"bias": bias.tolist(), "sigma": sigma.tolist()}
+            name: {"bias": bias.tolist(), "sigma": sigma.tolist(), "unit": _unit(descent, name, len(bias))}
             for name, (bias, sigma) in found.sensor_biases.items()
         }
     return out
+
+
+def _unit(descent: Descent, name: str, size: int) -> str | None:
+    """Return the unit of a sensor's biases where each is that of a column, else None."""
+    sensor = next(one for one in descent.sensors if one.name == name)
+    units = [column.unit for column in sensor.columns(sensor.settings)]
+    return units[0] if len(units) == size and len(set(units)) == 1 else None
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:

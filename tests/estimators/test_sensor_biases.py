@@ -60,9 +60,15 @@ def test_what_a_sensor_reads_too_much_is_found_in_its_bias(descent: Problem, est
 def test_biases_are_in_the_metrics_and_in_the_summary(descent: Problem) -> None:
     found = DistributedEkf().estimate(descent).calibrated
     assert found is not None
-    written = _calibrated(found, descent.catalog)
+    written = _calibrated(found, descent)
     assert set(written["sensor_biases"]) == set(SHIFTS)
     assert len(written["sensor_biases"]["velocimeter"]["sigma"]) == len(descent.sensors[1].bias_sigmas)
+    assert {name: one["unit"] for name, one in written["sensor_biases"].items()} == {
+        "altimeter": "m",
+        "velocimeter": "m s^-1",
+    }
+    told = {"bias": [0.3], "sigma": [0.01], "unit": "m"}
+    assert calibration_line({"sensor_biases": {"altimeter": told}}) == "a bias of altimeter of 0.3 ± 0.01 m"
     line = calibration_line({"sensor_biases": {"doppler": {"bias": [0.3, -0.02], "sigma": [0.01, 0.01]}}})
     assert line == "a bias of doppler of 0.3 ± 0.01, -0.02 ± 0.01"
 
