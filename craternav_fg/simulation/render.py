@@ -1,5 +1,6 @@
 """Rendered images of the terrain: illumination, motion blur, optics and sensor noise."""
 
+from contextlib import AbstractContextManager
 from dataclasses import astuple, dataclass
 
 import cv2
@@ -208,20 +209,20 @@ class Renderer:
         ndarray of float32, shape (height_px, width_px)
         """
         camera, n = self.camera, self.options.samples
-        levels = self._levels(gTb)
-        hits = self._hits(gTb, self._points, levels)
-        light = np.empty(len(hits), np.float32)
         _, P = self._camera_pose(gTb)
         sun = self.terrain.relief.gRs.T @ np.asarray(sun_g, dtype=np.float64)
+        with self._levels(gTb) as levels:
+            hits = self._hits(gTb, self._points, levels)
+            light = np.empty(len(hits), np.float32)
 
-        def work(lo: int, hi: int) -> None:
-            rays.shade(
-                P, hits[lo:hi], sun, self.options.sun_radius_rad, self._law,
-                levels.heights_m, levels.slots, levels.frames_m, self.terrain.body.radius_m,
-                levels.top_m, levels.slope, light[lo:hi],
-            )  # fmt: skip
+            def work(lo: int, hi: int) -> None:
+                rays.shade(
+                    P, hits[lo:hi], sun, self.options.sun_radius_rad, self._law,
+                    levels.heights_m, levels.slots, levels.frames_m, self.terrain.body.radius_m,
+                    levels.top_m, levels.slope, light[lo:hi],
+                )  # fmt: skip
 
-        self.terrain.run(work, len(hits))
+            self.terrain.run(work, len(hits))
         image = light.reshape(camera.height_px, n, camera.width_px, n)
         return np.ascontiguousarray(image.mean(axis=(1, 3)) if n > 1 else image[:, 0, :, 0])
 
@@ -240,14 +241,13 @@ class Renderer:
         points, normals : ndarray, shape (n, 3)
             In g, m, and unit length; NaN in the sky.
         """
-        levels = self._levels(gTb)
-        hits = self._hits(gTb, self.camera.normalised(np.asarray(points_px, dtype=np.float64)), levels)
-        points = np.empty((len(hits), 3))
-        normals = np.empty((len(hits), 3))
-        rays.surfaces(
-            hits, levels.heights_m, levels.slots, levels.frames_m, self.terrain.body.radius_m,
-            points, normals,
-        )  # fmt: skip
+        at = self.camera.normalised(np.asarray(points_px, dtype=np.float64))
+        points, normals = np.empty((len(at), 3)), np.empty((len(at), 3))
+        with self._levels(gTb) as levels:
+            rays.surfaces(
+                self._hits(gTb, at, levels), levels.heights_m, levels.slots, levels.frames_m,
+                self.terrain.body.radius_m, points, normals,
+            )  # fmt: skip
         gRs = self.terrain.relief.gRs
         return points @ gRs.T, normals @ gRs.T
 
@@ -314,7 +314,7 @@ class Renderer:
         self.terrain.run(work, len(points))
         return hits
 
-    def _levels(self, gTb: FloatArray) -> Levels:
+    def _levels(self, gTb: FloatArray) -> AbstractContextManager[Levels]:
         """Grids for the view from a pose: a coarse raster of rays on a sphere bounds what is seen."""
         camera = self.camera
         R, P = self._camera_pose(gTb)

@@ -9,8 +9,10 @@ it, and roughness and the flanks of smaller craters fade out quadratically withi
 
 import os
 import threading
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -185,6 +187,8 @@ class Terrain:
         self._oldest = list(range(slots))
         self._pool = ThreadPoolExecutor(os.cpu_count() or 1)
         self._building = threading.Lock()
+        # How many views use each slot.
+        self._in_use: Counter[int] = Counter()
 
     def _rows(self, catalog: Catalog) -> FloatArray:
         """Craters (n, 34) for `stamping.stamp`, largest first."""
@@ -266,11 +270,13 @@ class Terrain:
         edges = np.linspace(0, n, _PARTS + 1).astype(int)
         return list(self._pool.map(work, edges[:-1], edges[1:]))
 
-    def levels(self, low: FloatArray, high: FloatArray, nearest: FloatArray, pixel_m: float) -> Levels:
-        """Return grids that cover a view; those of earlier views are used again where they fit.
+    @contextmanager
+    def levels(
+        self, low: FloatArray, high: FloatArray, nearest: FloatArray, pixel_m: float
+    ) -> Iterator[Levels]:
+        """Give grids that cover a view; those of earlier views are used again where they fit.
 
-        They are as they should be until so many further views as `VIEWS_AT_ONCE` have theirs. Threads may
-        call it at the same time.
+        They stay as they are within the block. Threads may call it, as many as `VIEWS_AT_ONCE` at a time.
 
         Parameters
         ----------
@@ -281,12 +287,18 @@ class Terrain:
         pixel_m : float
             Smallest size of a pixel on the ground.
 
-        Returns
-        -------
+        Yields
+        ------
         Levels
         """
         with self._building:
-            return self._levels(low, high, nearest, pixel_m)
+            found = self._levels(low, high, nearest, pixel_m)
+            self._in_use.update(found.slots.tolist())
+        try:
+            yield found
+        finally:
+            with self._building:
+                self._in_use.subtract(found.slots.tolist())
 
     def _levels(self, low: FloatArray, high: FloatArray, nearest: FloatArray, pixel_m: float) -> Levels:
         options = self.options
@@ -329,7 +341,7 @@ class Terrain:
         for slot, grid in enumerate(self._grids):
             if grid is not None and grid.exponent == exponent and grid.first == (i, j):
                 return slot
-        slot = next(s for s in self._oldest if s not in used)
+        slot = next(s for s in self._oldest if s not in used and not self._in_use[s])
         self._build(slot, exponent, (i, j))
         return slot
 

@@ -200,7 +200,9 @@ def test_shadows_are_cast_by_what_stands_towards_the_sun():
 
 def test_a_point_is_as_bright_as_it_is_alone(terrain):
     half_m = np.array([2e3, 2e3])
-    levels = terrain.levels(-half_m, half_m, np.zeros(2), 4.0)
+    with terrain.levels(-half_m, half_m, np.zeros(2), 4.0) as levels:
+        # No other view follows.
+        pass
     hits = np.random.default_rng(0).uniform(-2e3, 2e3, (500, 2))
     hits[::7] = np.nan
     elevation = np.radians(4.0)

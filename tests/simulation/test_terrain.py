@@ -49,12 +49,33 @@ def test_a_grid_that_moved_is_the_one_built_anew(moved):
     ]
     here, there = np.array([0.0, 100.0]), np.array([0.0, 100.0]) + 4.0 * np.array(moved)
     terrains = [Terrain(scene.craters(rows), scene.relief(), SMALL) for _ in range(2)]
-    for place in (here, there):
-        old = terrains[0].levels(place - 300.0, place + 300.0, place, 8.0)
-    new = terrains[1].levels(there - 300.0, there + 300.0, there, 8.0)
-    assert np.array_equal(old.frames_m, new.frames_m)
-    assert np.array_equal(old.heights_m[old.slots], new.heights_m[new.slots])
-    assert old.top_m == new.top_m
+    with terrains[0].levels(here - 300.0, here + 300.0, here, 8.0):
+        pass
+    old, new = (one.levels(there - 300.0, there + 300.0, there, 8.0) for one in terrains)
+    with old as old, new as new:
+        assert np.array_equal(old.frames_m, new.frames_m)
+        assert np.array_equal(old.heights_m[old.slots], new.heights_m[new.slots])
+        assert old.top_m == new.top_m
+
+
+def test_grids_of_a_view_stay_while_others_come_and_go():
+    """Also if it is asked for again in between: an exposed image asks for its own twice."""
+    terrain = Terrain(scene.craters([]), scene.relief(), SMALL)
+    reach = 60.0 * SMALL.cells
+
+    def view(east_m):
+        place = np.array([east_m, 0.0])
+        return terrain.levels(place - reach, place + reach, place, 8.0)
+
+    with view(0.0):
+        pass
+    with view(9e4) as kept:
+        assert len(kept.slots) == SMALL.levels
+        before = kept.heights_m[kept.slots].copy()
+        for east_m in (0.0, 1.8e5, 2.7e5, 0.0):
+            with view(east_m):
+                pass
+        assert np.array_equal(kept.heights_m[kept.slots], before)
 
 
 def test_relief_gradient_and_slope():
