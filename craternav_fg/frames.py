@@ -87,13 +87,13 @@ def from_quaternion_wxyz(q: FloatArray) -> FloatArray:
     Raises
     ------
     ValueError
-        When a quaternion is zero.
+        When a quaternion is zero or not a number.
     """
     q = np.asarray(q)
     if q.shape == (4,):
         # Commands on one image need one, and scipy takes long to import.
         if not q @ q > 0.0:
-            raise ValueError(f"expected a quaternion of any length but zero, found {q}")
+            raise ValueError(f"expected a quaternion, of any length but zero, found {q}")
         w, v = q[0], q[1:]
         W = cross_matrix(v)
         return np.asarray(np.eye(3) + 2.0 * (w * W + W @ W) / (q @ q))
@@ -112,10 +112,17 @@ def to_quaternion_wxyz(R: FloatArray) -> FloatArray:
     -------
     ndarray, shape (..., 4)
         Unit Hamilton quaternions, scalar first and not negative.
+
+    Raises
+    ------
+    ValueError
+        When a matrix mirrors, or is not a number.
     """
     R = np.asarray(R)
     if R.shape == (3, 3):
         # As above. Four times the products of each component with all: the largest row is never small.
+        if not R[0] @ np.cross(R[1], R[2]) > 0.0:
+            raise ValueError(f"expected a rotation, found {R.tolist()}")
         x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
         products = np.empty((4, 4))
         products[1:, 1:] = R + R.T + (1.0 - np.trace(R)) * np.eye(3)

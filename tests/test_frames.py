@@ -98,8 +98,12 @@ def test_one_quaternion_is_converted_as_many_are() -> None:
         # Of a half turn, both signs are right.
         sign = 1.0 if expected[0] > 1e-12 else np.sign(found @ expected)
         assert_allclose(found, sign * expected, atol=1e-14)
-    with pytest.raises(ValueError, match="any length but zero"):
-        from_quaternion_wxyz(np.zeros(4))
+    for wrong in (np.zeros(4), np.full(4, np.nan)):
+        with pytest.raises(ValueError, match="any length but zero"):
+            from_quaternion_wxyz(wrong)
+    for wrong in (np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan)):
+        with pytest.raises(ValueError, match="expected a rotation"):
+            to_quaternion_wxyz(wrong)
 
 
 def test_local_axes_of_places() -> None:

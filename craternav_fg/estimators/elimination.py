@@ -25,7 +25,8 @@ SENSOR_BIASES = tuple("123456789")
 # Errors of one rim, of one crater on the map, and of all rims.
 _RIM_ERRORS = tuple(map(ord, (ERROR_LETTER, *MAP_LETTERS.values(), SHARED_LETTER)))
 _BIASES = tuple(map(ord, SENSOR_BIASES))
-# Letter of a variable on which nothing depends: with it a clique has one variable more than its child.
+# Letter of variables on which nothing depends: with one, a clique has one variable more than its child. A
+# graph that is eliminated once needs one; a tree that goes on, one for each state that was the newest.
 APART_LETTER = "z"
 _APART = gtsam.symbol(APART_LETTER, 0)
 _POSE, *_OTHERS = STATE_LETTERS

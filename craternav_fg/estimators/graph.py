@@ -98,9 +98,12 @@ class ImuInterval:
 
     @property
     def stiffness(self) -> FloatArray:
-        """Information (9,) of the rotation, position and velocity at the end, given all else."""
-        covariance = self.pim.preintMeasCov()[:9, :9]
-        return np.diagonal(np.linalg.inv(covariance))
+        """Information (9,) of rotation, position, velocity at the end, given all else, rad^-2, m^-2, s^2/m^2.
+
+        That of the stiffest axis, whatever the frame.
+        """
+        information = np.linalg.inv(self.pim.preintMeasCov()[:9, :9])
+        return np.repeat([np.linalg.norm(information[i : i + 3, i : i + 3], 2) for i in (0, 3, 6)], 3)
 
     def with_gravity_at(self, body: Body, midpoint: FloatArray) -> "ImuInterval":
         """Evaluate the factor's gravity at another point; it must then be linearised again.

@@ -1,9 +1,9 @@
 """iSAM2 made fast and safe to use from Python, over all states or those of a fixed lag.
 
 GTSAM's Cholesky factorisation refuses realistic IMU information, but for an order as in `elimination`. Trees
-with errors of rims use it until it fails, as QR takes three times as long for them; all others use QR. The
-linearisation point is held for as long as the solver lives: callbacks get that object and not a deep copy of
-all values.
+that begin with errors of rims use it until it fails, as QR takes three times as long for them; all others use
+QR. The linearisation point is held for as long as the solver lives: callbacks get that object and not a deep
+copy of all values.
 """
 
 from collections.abc import Sequence
@@ -99,6 +99,8 @@ class Isam:
         See the attribute.
     keep_past : bool
         Whether the estimates of earlier states are kept for `estimate`; memory then grows with the descent.
+    qr_alone : bool
+        Whether Cholesky factorisation is never tried.
 
     Attributes
     ----------
@@ -106,14 +108,16 @@ class Isam:
         Shift of a pose beyond which it is relinearised; takes effect with the next tree.
     """
 
-    def __init__(self, relinearise_m: float = RELINEARISE_M, *, keep_past: bool = False) -> None:
+    def __init__(
+        self, relinearise_m: float = RELINEARISE_M, *, keep_past: bool = False, qr_alone: bool = False
+    ) -> None:
         self.relinearise_m = relinearise_m
         self._keep_past = keep_past
         self._hold: gtsam.Values
         self._past = gtsam.Values()
         self._snapshot: Snapshot | None = None
-        # Whether the tree is factorised by Cholesky, and whether GTSAM has refused to.
-        self._cholesky = self._refused = False
+        # Whether the tree is factorised by Cholesky, and whether that is not to be tried again.
+        self._cholesky, self._refused = False, qr_alone
         # Of the last update with new variables.
         self._order: gtsam.KeyGroupMap | None = None
         self._trees = 0
@@ -128,6 +132,11 @@ class Isam:
     def by_cholesky(self) -> bool:
         """Whether the present tree is factorised by Cholesky."""
         return self._cholesky
+
+    @property
+    def may_use_cholesky(self) -> bool:
+        """Whether a tree with errors of rims is, or will be, factorised by Cholesky."""
+        return not self._refused
 
     @property
     def tree(self) -> gtsam.ISAM2:
@@ -198,12 +207,20 @@ class Isam:
         ----------
         keys : sequence of int
         stiffness : ndarray, shape (n,), optional
-            Information of the first n entries given all else, in the same units: to count lost digits.
+            Information of the first n entries given all else, to count lost digits: inverse squares of the
+            units of each variable's tangent space.
 
         Returns
         -------
         ndarray, shape (m, m)
             In the order of the keys, in the units of each variable's tangent space.
+
+        Raises
+        ------
+        EstimationError
+            When the tree cannot be built anew by QR.
+        RuntimeError
+            When a variable is unknown.
         """
         try:
             joint = np.asarray(self.tree.jointMarginalCovariance(keys).fullMatrix())
@@ -317,7 +334,7 @@ class Isam:
             self._new(graph, values)
         except (RuntimeError, ValueError) as error:
             raise EstimationError(
-                f"iSAM2 update failed and could not be taken back: {_first_line(error)}"
+                f"iSAM2's factors could not be eliminated again: {_first_line(error)}"
             ) from error
 
 
@@ -339,7 +356,8 @@ class FixedLagIsam(Isam):
             raise EstimationError(f"lag_s: expected a positive number, found {lag_s}")
         self._lag_s = lag_s
         self._smoother: gtsam.IncrementalFixedLagSmoother
-        super().__init__()
+        # It chooses the order of elimination itself.
+        super().__init__(qr_alone=True)
 
     @property
     def tree(self) -> gtsam.ISAM2:

@@ -51,7 +51,7 @@ def newest_state(
         Of the state.
     stamp_ns : int
     pose : gtsam.Pose3, optional
-        The state's pose gTb (translation in m), where it is known already.
+        The state's pose gTb (translation in m), where it is known already; read again from a new tree.
     interval : ImuInterval, optional
         That ends at the state.
 

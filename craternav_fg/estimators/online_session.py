@@ -56,9 +56,9 @@ SETTLED_ALTITUDE_SHARE = 1e-3
 # Shift, as a share of the altitude, at which a pose is relinearised; smaller, as the altitude falls while a
 # tree lives.
 RELINEARISE_ALTITUDE_SHARE = 3e-4
-# Share of the position's sigma by which a second of integration is uncertain, at least. It adds 1e-5 of that
-# sigma in minutes. Stiffer IMU factors cost the covariances digits by Cholesky factorisation: with a position
-# known to 400 m, all but two.
+# Share of the position's sigma by which integration is uncertain after a second, at least, growing with the
+# square root of the time: 1e-5 of that sigma in minutes. Stiffer IMU factors cost the covariances digits by
+# Cholesky factorisation: with a position known to 400 m, all but two.
 INTEGRATION_SHARE = 3e-6
 # iSAM2 iterations at a frame after the first.
 MAX_EXTRA_UPDATES = 5
@@ -93,7 +93,12 @@ class OnlineSession:
         self._features = None if tracks is None else FeatureStates(tracks, descent.camera)
         self._options = options
         if solver is None:
-            solver = Isam(self._relinearise_m(descent.initial.gTb), keep_past=keep_past)
+            # Without an IMU nobody knows the stiffness of what ties states, and so the digits that are lost.
+            solver = Isam(
+                self._relinearise_m(descent.initial.gTb),
+                keep_past=keep_past,
+                qr_alone=descent.motion is not None,
+            )
         self._solver = solver
         self._last = 0
         self._errors = None
@@ -292,7 +297,9 @@ class OnlineSession:
                 add_motion(graph, self._descent, last, begin_ns, int(end_ns), here)
             else:
                 midpoint = 0.5 * (state.gTb[:3, 3] + ahead.gTb[:3, 3])
-                variance = max(INTEGRATION_VARIANCE, INTEGRATION_SHARE**2 * _position_variance(ahead))
+                variance = INTEGRATION_VARIANCE
+                if self._errors is not None and self._solver.may_use_cholesky:
+                    variance = max(variance, INTEGRATION_SHARE**2 * _position_variance(ahead))
                 add_imu(
                     graph, self._descent, last, begin_ns, int(end_ns), midpoint, state.bias, rows, variance
                 )

@@ -37,6 +37,10 @@ class ImagesAhead:
         InputError
             When it is missing or damaged.
         """
+        known = self._read
+        if frame in known and known[frame].exception() is not None:
+            # What failed may succeed when it is asked for.
+            del known[frame]
         wanted = [k for k in (frame, frame + 1) if k < len(self._dataset)]
-        self._read = {k: self._read.get(k) or self._thread.submit(self._dataset.image, k) for k in wanted}
+        self._read = {k: known.get(k) or self._thread.submit(self._dataset.image, k) for k in wanted}
         return self._read[frame].result()

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation
+from matplotlib.ticker import LogFormatterSciNotation
 
 from craternav_fg.files import replacing
 from factors.arrays import FloatArray
@@ -37,6 +37,8 @@ _OTHER_LOOKS = tuple(itertools.product(("-", "--", "-.", ":"), _OTHER_COLOURS))
 _DASHED = frozenset({"online", "gnc_smoother"})
 # Ends of the names of estimators with another measurement: the colour of the one without, in another dash.
 _VARIANTS = {"_eq19": "-.", "_los": ":"}
+# Least and largest numbers on a logarithmic axis that are readable without powers of ten.
+_PLAIN = 1e-5, 1e6
 # Of PNG files, as zlib counts: twice as fast as its default, and files of noisy images are 13 % larger.
 _COMPRESSION = 2
 
@@ -106,11 +108,22 @@ def finish(axes: Axes) -> None:
 
 
 def number_plainly(figure: Figure) -> None:
-    """Write numbers at the decades of logarithmic axes, in place of powers of ten."""
+    """Write numbers on logarithmic axes in place of powers of ten, unless they reach beyond `_PLAIN`."""
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
-            if isinstance(axis.get_major_formatter(), LogFormatterSciNotation):
-                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            low, high = axis.get_view_interval()
+            if isinstance(axis.get_major_formatter(), LogFormatterSciNotation) and (
+                low >= _PLAIN[0] and high <= _PLAIN[1]
+            ):
+                axis.set_major_formatter(_Plain())
+                axis.set_minor_formatter(_Plain(labelOnlyBase=False))
+
+
+class _Plain(LogFormatterSciNotation):
+    """Labels the ticks that matplotlib would, by numbers."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""
 
 
 def seconds_since_first(stamps_ns: npt.NDArray[np.int64]) -> FloatArray:

@@ -73,15 +73,20 @@ def warming_up() -> Iterator[None]:
     """
     if is_warm():
         # Rendering needs the interpreter little.
-        thread = threading.Thread(target=importlib.import_module, args=("craternav_fg.runs.execute",))
+        thread = threading.Thread(target=_imported, daemon=True)
         thread.start()
-        try:
-            yield
-        finally:
-            thread.join()
+        yield
+        # Nobody waits for it when the work has failed.
+        thread.join()
         return
     with tempfile.TemporaryDirectory(prefix="craternav-") as folder, _compiling(Path(folder)):
         yield
+
+
+def _imported() -> None:
+    # What cannot be imported is said where it is needed.
+    with suppress(Exception):
+        importlib.import_module("craternav_fg.runs.execute")
 
 
 @contextmanager

@@ -15,8 +15,10 @@ from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.correlated_errors import ERROR_LETTER, SHARED_LETTER
 from craternav_fg.estimators.elimination import apart_key, newest_last
 from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.incremental import FixedLagIsam
 from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.measurements import MAP_SIZE
+from craternav_fg.motion.white_acceleration import white_acceleration
 from tests.descents import assert_same_estimates
 from tests.estimators.test_incremental import with_other_sensors
 
@@ -84,6 +86,18 @@ def test_an_accelerometer_that_ties_states_too_stiffly_is_left_to_qr(problem: Pr
     noise = replace(problem.imu_noise, accelerometer_density_m_s2_sqrt_hz=1e-7)
     session = OnlineSession(replace(problem, imu_noise=noise))
     session.run(problem)
+    assert not session._solver.by_cholesky
+
+
+def test_a_fixed_lag_and_a_motion_model_are_left_to_qr(problem: Problem) -> None:
+    """GTSAM orders the first by itself; how stiffly the second ties states is not known."""
+    solver = FixedLagIsam(30.0)
+    OnlineSession(problem, solver=solver).run(problem)
+    assert not solver.by_cholesky
+    model = replace(problem, motion=white_acceleration(0.01))
+    session = OnlineSession(model)
+    session.run(model)
+    assert session._errors is not None
     assert not session._solver.by_cholesky
 
 

@@ -72,6 +72,9 @@ def test_rows_that_repeat_one_before_them_are_left_out() -> None:
     assert 5 < len(kept) < 1000
     assert distinct_rows(np.ones((100_000, 5))).tolist() == [0]
     assert distinct_rows(np.empty((0, 5))).tolist() == []
+    column = np.zeros((5000, 5))
+    column[:, 1] = np.arange(5000)
+    assert len(distinct_rows(column)) == 5000
 
 
 def test_single_rims_are_tried_within_bounds(synthetic, monkeypatch) -> None:

@@ -32,7 +32,9 @@ def test_each_image_is_read_once_and_fails_where_it_is_asked_for() -> None:
         with pytest.raises(InputError, match=r"003.png: image is damaged"):
             ahead.image(3)
     assert (ahead.image(4) == 4).all()
-    assert data.read == [0, 1, 2, 3, 4]
+    # A failure is no result: the file may be there when it is asked for.
+    assert data.read.count(3) == 3
+    assert data.read.count(4) == 1
 
 
 def test_images_in_any_order() -> None:

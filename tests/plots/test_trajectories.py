@@ -87,8 +87,9 @@ def test_a_figure_is_saved_as_matplotlib_would(tmp_path: Path) -> None:
 
 def test_decades_are_plain_numbers() -> None:
     figure = Figure()
-    axes, other = figure.subplots(2)
-    axes.loglog([0.01, 1e4], [1e-7, 1e7])
+    axes, other, wide = figure.subplots(3)
+    wide.semilogy([1, 2], [1e-7, 1e7])
+    axes.loglog([0.01, 1e4], [2.0, 9.0])
     # A choice of one's own stays.
     other.set_xscale("log")
     other.set_xticks([3.0], ["three"])
@@ -96,7 +97,10 @@ def test_decades_are_plain_numbers() -> None:
     figure.canvas.draw()
     labels = [one.get_text() for one in axes.get_xticklabels()]
     assert {"0.01", "1", "100"} <= set(labels)
-    assert not any("$" in one.get_text() for one in axes.get_yticklabels())
+    # Less than a decade: the ticks between.
+    between = [one.get_text() for one in axes.get_yticklabels(minor=True)]
+    assert {"2", "3", "4"} <= set(between)
+    assert all("$" in one.get_text() for one in wide.get_yticklabels() if one.get_text())
     assert [one.get_text() for one in other.get_xticklabels()] == ["three"]
 
 

@@ -204,7 +204,7 @@ def image_order(view: View, rims: IntArray, count: int) -> Int32Array:
 @njit(cache=True, error_model="numpy")
 def _nearest(points: FloatArray, among: FloatArray, count: int) -> npt.NDArray[np.int64]:
     """Rows (n, count) of the points (m, 2) that are nearest to each of points (n, 2), nearest first."""
-    out = np.empty((len(points), count), dtype=np.int64)
+    out = np.zeros((len(points), count), dtype=np.int64)
     d2 = np.empty(count)
     for i in range(len(points)):
         d2[:] = np.inf

@@ -154,7 +154,10 @@ def _distinct(by_first: npt.NDArray[np.int64], rows: FloatArray) -> npt.NDArray[
             k = place[i] + step
             while 0 <= k < len(rows) and abs(rows[by_first[k], 0] - rows[i, 0]) <= _SAME_PX:
                 j = by_first[k]
-                if j > i and np.abs(rows[j] - rows[i]).max() <= _SAME_PX:
-                    kept[j] = False
+                if j > i and kept[j]:
+                    same = True
+                    for c in range(1, 4):
+                        same = same and abs(rows[j, c] - rows[i, c]) <= _SAME_PX
+                    kept[j] = not same
                 k += step
     return kept
