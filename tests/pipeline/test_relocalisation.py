@@ -199,9 +199,10 @@ def few_rims(data, monkeypatch, found, expected, sigma_m):
     )
     rims = data.measurements[0].rims.take(np.resize(np.arange(3), found))
     tracker = Tracker.__new__(Tracker)
+    tracker._images = SimpleNamespace(image=lambda index: None)
     tracker.dataset = SimpleNamespace(
         camera=data.camera, body=data.body, catalog=data.catalog.take(np.resize(rows, expected)),
-        sun=data.sun, stamps_ns=data.stamps_ns, image=lambda index: None,
+        sun=data.sun, stamps_ns=data.stamps_ns,
     )  # fmt: skip
     tracker.front_end = SimpleNamespace(options=limits)
     tracker.relocaliser = SimpleNamespace(match=lambda *_: None)
