@@ -95,9 +95,9 @@ def rounding(information: FloatArray, covariance: FloatArray) -> float:
     Parameters
     ----------
     information : ndarray, shape (m,)
-        Of each entry given all others.
+        Of each entry given all others: inverse squares of its unit.
     covariance : ndarray, shape (m, m)
-        Of the entries, in the same units.
+        Of the entries, in their units.
 
     Returns
     -------
