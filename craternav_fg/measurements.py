@@ -201,9 +201,9 @@ class RimSet:
         T, covariance = _at_predicted(self.chart, np.ascontiguousarray(self.covariance), charts)
         correlated, of_map, shared = (None if A is None else T @ A for A in self.kept)
         fused = None if self.fused_white is None else T @ self.fused_white @ np.swapaxes(T, 1, 2)
-        return replace(
-            self, covariance=covariance, correlated=correlated, of_map=of_map, shared=shared,
-            fused_white=fused,
+        # `replace` takes as long as the rest, and the online smoother comes here for every frame.
+        return RimSet(
+            self.craters, self.chart, covariance, self.quality, correlated, of_map, shared, fused
         )  # fmt: skip
 
     def inflate_correlated(self, factor: float) -> "RimSet":

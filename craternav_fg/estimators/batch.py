@@ -69,8 +69,8 @@ FINAL_LM = LmOptions(max_iterations=200)
 # In graphs solved by Cholesky factorisation, as the steps of the covariances follow: usually one or two.
 CHOLESKY_TOLERANCE = 1e-5
 MAX_LAST_STEPS = 3
-# Largest decrease of the error, half a sum of squares, that the last of them predicts: 0.006 sigma.
-MAX_LAST_DECREASE = 2e-5
+# Largest decrease of the error, half a sum of squares, that the last of them leaves: 0.006 sigma.
+MAX_LEFT_DECREASE = 2e-5
 # Relative error of variances by Cholesky factorisation, an order of magnitude estimated at some poses: above,
 # they are computed by QR. Along a descent errors add up to 2 to 20 times as much.
 MAX_ROUNDING = 1e-5
@@ -207,8 +207,8 @@ class BatchSmoother:
 
     def _finished(self, problem: Problem, start: _Start) -> Trajectory:
         """Optimise with the covariances of a start."""
-        graph, values = optimum(start.problem, self.options, start.values, start.intervals, self.own_factors)
-        return trajectory(problem, self.options, graph, values, start.state_indices)
+        graph, best = optimum(start.problem, self.options, start.values, start.intervals, self.own_factors)
+        return trajectory(problem, self.options, graph, best.values, start.state_indices, best.contraction)
 
 
 def _solved_for(lm: LmOptions, problem: Problem, options: BatchOptions) -> LmOptions:
@@ -236,7 +236,7 @@ def optimum(
     values: gtsam.Values,
     intervals: Sequence[ImuInterval] = (),
     own_factors: OwnFactors | None = None,
-) -> tuple[FactorGraph, gtsam.Values]:
+) -> tuple[FactorGraph, LmResult]:
     """Optimise a whole descent, and repeat it until the points at which gravity is evaluated no longer move.
 
     Parameters
@@ -253,7 +253,7 @@ def optimum(
     Returns
     -------
     graph : FactorGraph
-    values : gtsam.Values
+    best : LmResult
         Its optimum.
 
     Raises
@@ -264,43 +264,47 @@ def optimum(
     graph = build_graph(problem, options, values, intervals, own_factors)
     final = _solved_for(FINAL_LM, problem, options)
     for last in range(MAX_OPTIMISATIONS - 1, -1, -1):
-        values = _converged(levenberg_marquardt(graph, values, final))
+        best = _converged(levenberg_marquardt(graph, values, final))
+        values = best.values
         if not last or not _update_gravity(graph, problem.body, values):
             break
     lost, count = _out_of_sight(problem, options, values)
     if 2 * lost > count:
         raise EstimationError(f"no convergence: {lost} of {count} rims are out of sight of the poses reached")
-    return graph, values
+    return graph, best
 
 
 def _settled(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, marginals: Marginals
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, marginals: Marginals, contraction: float
 ) -> tuple[gtsam.Values, Marginals]:
     """Take the steps that eliminations for covariances give while they are long, then optimise if need be.
 
-    They converge where each predicts less than the last one did; a long one must lower the error, too.
+    They converge where each predicts less than the last one did; a long one must lower the error, too. One
+    leaves that times the root of the last contraction: where losses weigh rims, quadratic steps become linear
+    ones (on real ground 5 % were left after a contraction of 1e-4).
     """
     for _ in range(MAX_LAST_STEPS):
         nearer, predicted = values.retract(marginals.step), marginals.predicted_decrease
-        if predicted <= MAX_LAST_DECREASE:
+        if np.sqrt(contraction) * predicted <= MAX_LEFT_DECREASE:
             return nearer, marginals
         if predicted > MAX_PREDICTED_DECREASE and not graph.error(nearer) <= graph.error(values):
             break
         values, marginals = nearer, Marginals(graph, nearer, cholesky=marginals.cholesky)
         if not marginals.predicted_decrease < predicted:
             break
-    values = _converged(levenberg_marquardt(graph, values, FINAL_LM))
+        contraction = marginals.predicted_decrease / predicted
+    values = _converged(levenberg_marquardt(graph, values, FINAL_LM)).values
     return values, Marginals(graph, values)
 
 
-def _converged(result: LmResult) -> gtsam.Values:
+def _converged(result: LmResult) -> LmResult:
     """Return an optimum."""
     if not result.converged:
         raise EstimationError(
             f"no convergence in {result.iterations} iterations: measurements, IMU and "
             "initial state contradict each other (check frames, units and mounting)"
         )
-    return result.values
+    return result
 
 
 def _out_of_sight(problem: Problem, options: BatchOptions, values: gtsam.Values) -> tuple[int, int]:
@@ -439,11 +443,11 @@ def trajectory(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
     state_indices: Sequence[int],
+    contraction: float = 1.0,
 ) -> Trajectory:
     """Read the states of the frames and their marginal covariances from an optimum.
 
-    Where steps by Cholesky factorisation lead to it, the eliminations that the covariances need give further
-    ones, of which one or two are usually enough.
+    Where steps by Cholesky factorisation lead to it, the eliminations for the covariances give further ones.
 
     Parameters
     ----------
@@ -455,6 +459,8 @@ def trajectory(
         Its optimum.
     state_indices : sequence of int
         Indices of the frames' states.
+    contraction : float
+        That of the steps to the optimum, see `LmResult`.
 
     Returns
     -------
@@ -469,12 +475,12 @@ def trajectory(
     cholesky = _solved_for(FINAL_LM, problem, options).cholesky
     marginals = Marginals(graph, values, cholesky=cholesky)
     if cholesky:
-        values, marginals = _settled(graph, values, marginals)
+        values, marginals = _settled(graph, values, marginals, contraction)
     covariances = marginals.covariances(keys)
     # The poses lose most, and those of neighbouring states alike.
-    some = [int(X(n)) for n in state_indices[:: 1 + len(state_indices) // CHECKED_POSES]]
+    some = map(X, state_indices[:: 1 + len(state_indices) // CHECKED_POSES])
     if marginals.rounding({key: covariances[key] for key in some}) > MAX_ROUNDING:
-        values, marginals = _settled(graph, values, Marginals(graph, values))
+        values, marginals = _settled(graph, values, Marginals(graph, values), 1.0)
         covariances = marginals.covariances(keys)
     gTb = np.array([values.atPose3(X(n)).matrix() for n in state_indices])
     return Trajectory(

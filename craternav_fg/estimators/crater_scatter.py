@@ -18,6 +18,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import CORRELATED_SIZE, MAP_SIZE, SHARED_SIZE, TILT_SIZE, FrameMeasurement
 from factors.arrays import FloatArray, IntArray
+from factors.kernels.compiled import njit
 from factors.kernels.conic import project_rims
 from factors.kernels.rim_errors import ground_slopes
 
@@ -57,60 +58,79 @@ def variance_factors(
     Lange, Little, Taylor, J. American Statistical Association 84 (1989) 881,
     DOI 10.1080/01621459.1989.10478852.
     """
-    craters, errors, roots, white = _on_ground(frames, poses, camera, catalog)
+    craters, slopes, errors, roots, white = _in_image(frames, poses, camera, catalog)
     rows, index, counts = np.unique(craters, return_inverse=True, return_counts=True)
-    n = len(rows)
-    mean, root, spread = np.zeros((n, 5)), np.zeros((n, *roots.shape[1:])), np.zeros((n, 5, 5))
-    np.add.at(mean, index, errors)
-    np.add.at(root, index, roots)
-    np.add.at(spread, index, white)
-    # Of the mean over a crater's frames, in which white errors average out.
-    root /= counts[:, None, None]
-    covariance = root @ np.swapaxes(root, 1, 2) + spread / (counts**2)[:, None, None]
-    distance2 = squared_distance(mean / counts[:, None], covariance)
+    errors, roots, spread = _means_on_ground(index, counts, np.linalg.inv(slopes), errors, roots, white)
+    distance2 = squared_distance(errors, roots @ np.swapaxes(roots, 1, 2) + spread)
     factors = (freedom + distance2) / (freedom + 5.0)
     return {int(row): float(f) for row, f in zip(rows, factors, strict=True) if f > 1.0}
 
 
-def _on_ground(
+def _in_image(
     frames: Sequence[FrameMeasurement], poses: Sequence[FloatArray], camera: Camera, catalog: Catalog
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Errors of all rims in their planes, in radii, with what their craters keep.
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Errors of all rims that their poses see, with what their craters keep.
 
     Returns
     -------
-    craters, errors, roots, white : ndarray, shapes (n,), (n, 5), (n, 5, 21), (n, 5, 5)
-        Roots of the parts of the covariance that are not white, see `RimSet.kept`, and its white part.
+    craters, slopes, errors, roots, white : ndarray, shapes (n,), (n, 5, 5), (n, 5), (n, 5, 21), (n, 5, 5)
+        Derivatives of the charts in errors within the rims' planes, in radii; errors of the charts, roots of
+        the parts of their covariance that are not white, see `RimSet.kept`, and its white part.
     """
-    parts = []
-    for frame, gTb in zip(frames, poses, strict=True):
-        rims, pose = frame.rims, np.ascontiguousarray(gTb)
-        if rims.correlated is None and rims.of_map is None:
-            continue
+    known = [
+        (frame.rims, np.ascontiguousarray(gTb))
+        for frame, gTb in zip(frames, poses, strict=True)
+        if frame.rims.correlated is not None or frame.rims.of_map is not None
+    ]
+    begins = np.cumsum([0, *(len(rims) for rims, _ in known)])
+    craters, visible = np.empty(begins[-1], dtype=np.int64), np.empty(begins[-1], dtype=np.bool_)
+    slopes, errors = np.empty((begins[-1], 5, 5)), np.empty((begins[-1], 5))
+    # Frames may differ in the parts that they state.
+    roots, white = np.zeros((begins[-1], 5, sum(_SIZES))), np.empty((begins[-1], 5, 5))
+    parts = np.split(roots, np.cumsum(_SIZES)[:-1], axis=2)
+    for (rims, gTb), begin, end in zip(known, begins[:-1], begins[1:], strict=True):
+        own = slice(begin, end)
         centres, axes = catalog.centres[rims.craters], catalog.axes[rims.craters]
-        charts, seen = project_rims(pose, camera.bTc, centres, axes)
-        slopes = ground_slopes(pose, camera.bTc, centres, axes)[seen][:, :, _IN_PLANE]
-        inverse = np.linalg.inv(slopes)
-        # Frames may differ in the parts that they state.
-        roots = np.zeros((int(seen.sum()), 5, sum(_SIZES)))
-        parts_of_rims = np.split(roots, np.cumsum(_SIZES)[:-1], axis=2)
+        charts, visible[own] = project_rims(gTb, camera.bTc, centres, axes)
+        slopes[own] = ground_slopes(gTb, camera.bTc, centres, axes)[:, :, _IN_PLANE]
+        craters[own], errors[own], white[own] = rims.craters, rims.chart - charts, rims.fused_white_covariance
         columns = (slice(0, CORRELATED_SIZE), rims.map_columns, slice(0, SHARED_SIZE))
-        for A, part, own in zip(rims.kept, parts_of_rims, columns, strict=True):
+        for A, part, of_part in zip(rims.kept, parts, columns, strict=True):
             if A is not None:
-                part[:, :, own] = A[seen]
-        white = rims.fused_white_covariance[seen]
-        parts.append(
-            (
-                rims.craters[seen],
-                (inverse @ (rims.chart - charts)[seen][:, :, None])[:, :, 0],
-                inverse @ roots,
-                inverse @ white @ np.swapaxes(inverse, 1, 2),
-            )
-        )
-    if not parts:
-        return np.empty(0, np.int64), np.empty((0, 5)), np.empty((0, 5, 1)), np.empty((0, 5, 5))
-    craters, errors, roots_, white_ = (np.concatenate(one) for one in zip(*parts, strict=True))
-    return craters, errors, roots_, white_
+                part[own, :, of_part] = A
+    return craters[visible], slopes[visible], errors[visible], roots[visible], white[visible]
+
+
+@njit(cache=True, error_model="numpy")
+def _means_on_ground(
+    index: IntArray, counts: IntArray, inverse: FloatArray, errors: FloatArray, roots: FloatArray,
+    white: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Average the errors of each crater over its frames, and what they keep; white errors average out.
+
+    Takes the craters (n,) of the rims and what `_in_image` gives, with its slopes inverted; returns the mean
+    errors (k, 5) within the rims' planes, in radii, the mean roots (k, 5, 21) and the covariance (k, 5, 5)
+    that is left of white errors.
+    """
+    k, m = len(counts), roots.shape[2]
+    mean, root, spread = np.zeros((k, 5)), np.zeros((k, 5, m)), np.zeros((k, 5, 5))
+    half = np.empty(5)
+    for n in range(len(index)):
+        c, G = index[n], inverse[n]
+        share = 1.0 / counts[c]
+        for i in range(5):
+            half[:] = 0.0
+            for j in range(5):
+                g = share * G[i, j]
+                mean[c, i] += g * errors[n, j]
+                for q in range(m):
+                    root[c, i, q] += g * roots[n, j, q]
+                for q in range(5):
+                    half[q] += g * white[n, j, q]
+            for j in range(5):
+                for q in range(5):
+                    spread[c, i, j] += half[q] * share * G[j, q]
+    return mean, root, spread
 
 
 def with_variance_factors(frame: FrameMeasurement, factors: dict[int, float]) -> FrameMeasurement:

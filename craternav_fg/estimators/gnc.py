@@ -162,9 +162,9 @@ class GncSmoother:
             inliers = replace(frame, rims=rims, arcs=arcs)
             frames.append(with_predicted_covariances(inliers, gTb, problem.camera, problem.catalog))
         kept = replace(problem, frames=frames)
-        graph, values = optimum(kept, options, decided.values, decided.intervals)
+        graph, best = optimum(kept, options, decided.values, decided.intervals)
         return replace(
-            trajectory(kept, options, graph, values, numbers),
+            trajectory(kept, options, graph, best.values, numbers, best.contraction),
             rim_weights=tuple(decided.weights), rim_craters=tuple(craters),
         )  # fmt: skip
 

@@ -13,6 +13,7 @@ from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION, RimErrorOptions, RimErrorStates
+from craternav_fg.estimators.elimination import CholeskyOrder
 from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel, rim_factors
 from craternav_fg.imu import ImuRows
 from craternav_fg.measurements import FrameMeasurement
@@ -143,6 +144,8 @@ class FactorGraph(gtsam.NonlinearFactorGraph):
     def __init__(self) -> None:
         super().__init__()
         self._kept: list[gtsam.CustomFactor] = []
+        # With the numbers of factors and of rows of rims that it is for.
+        self._order: tuple[tuple[int, int], CholeskyOrder] | None = None
         self.intervals: list[ImuInterval] = []
         self.left_out = 0
         self.rims = RimsWithErrors()
@@ -160,11 +163,33 @@ class FactorGraph(gtsam.NonlinearFactorGraph):
         self.rims.linearise(values, linear)
         return linear
 
+    def order(self, linear: gtsam.GaussianFactorGraph) -> CholeskyOrder:
+        """Order to factorise what it is linearised to: all such graphs have the same factors."""
+        of = self.size(), self.rims.rows
+        if self._order is None or self._order[0] != of:
+            self._order = of, CholeskyOrder(linear)
+        return self._order[1]
+
     def push_back(self, factor: Any) -> None:
         """Add a factor, or all those of a graph."""
         if isinstance(factor, gtsam.CustomFactor):
             self._kept.append(factor)
         super().push_back(factor)
+
+
+def cholesky_order(graph: gtsam.NonlinearFactorGraph, linear: gtsam.GaussianFactorGraph) -> CholeskyOrder:
+    """Order to factorise what a graph is linearised to; a `FactorGraph` computes it once.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    linear : gtsam.GaussianFactorGraph
+
+    Returns
+    -------
+    CholeskyOrder
+    """
+    return graph.order(linear) if isinstance(graph, FactorGraph) else CholeskyOrder(linear)
 
 
 def add_prior(graph: gtsam.NonlinearFactorGraph, initial: InitialState) -> None:

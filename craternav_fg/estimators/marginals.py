@@ -10,11 +10,13 @@ one by the IMU alone, and errors grow along the descent.
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from itertools import accumulate
 
 import gtsam
 import numpy as np
 
-from craternav_fg.estimators.elimination import CholeskyOrder, rounding
+from craternav_fg.estimators.elimination import rounding
+from craternav_fg.estimators.graph import cholesky_order
 from factors.arrays import BoolArray, FloatArray
 from factors.kernels.compiled import njit
 
@@ -55,7 +57,7 @@ class Marginals:
         linear = graph.linearize(values)
         self.cholesky = False
         if cholesky:
-            order = CholeskyOrder(linear)
+            order = cholesky_order(graph, linear)
             apart = order.apart(linear)
             with suppress(RuntimeError):
                 self._tree = apart.eliminateMultifrontal(order.ordering)
@@ -130,17 +132,22 @@ class Marginals:
         while pending:
             clique, shared, root = pending.pop()
             conditional = clique.conditional()
+            first = conditional.firstFrontalKey()
             order, joint = _joint(conditional, shared, root, self._sizes)
-            places = _places(order, self._sizes)
-            for key in wanted[conditional.firstFrontalKey()]:
-                rows = inverse_rows(joint, places[key].start, places[key].stop)
+            ends = list(accumulate(map(self._sizes.__getitem__, order)))
+            for key in wanted[first]:
+                place = order.index(key)
+                rows = inverse_rows(joint, ends[place] - self._sizes[key], ends[place])
                 out[key] = rows @ rows.T
-            for child in children[conditional.firstFrontalKey()]:
+            for child in children[first]:
                 theirs = set(child.conditional().keys())
                 kept = np.zeros(len(joint), dtype=np.bool_)
-                for key in order:
-                    kept[places[key]] = key in theirs
-                pending.append((child, [key for key in order if key in theirs], marginal_root(joint, kept)))
+                common = []
+                for key, end in zip(order, ends, strict=True):
+                    if key in theirs:
+                        common.append(key)
+                        kept[end - self._sizes[key] : end] = True
+                pending.append((child, common, marginal_root(joint, kept)))
         return out
 
 
@@ -148,14 +155,17 @@ def _joint(
     conditional: gtsam.GaussianConditional, shared: list[int], root: FloatArray, sizes: Mapping[int, int]
 ) -> tuple[list[int], FloatArray]:
     """Return a clique's variables and the root of their joint information: R S above 0 root."""
-    R, keys = conditional.R(), conditional.keys()
+    R, keys = conditional.R(), list(conditional.keys())
     n, own = len(R), keys[: len(keys) - len(shared)]
     joint = np.zeros((n + len(root), n + len(root)))
     joint[:n, :n] = R
     if shared:
         S, columns = conditional.S(), _places(keys[len(own) :], sizes)
-        for key, place in _places(shared, sizes, n).items():
-            joint[:n, place] = S[:, columns[key]]
+        if keys[len(own) :] == shared:
+            joint[:n, n:] = S
+        else:
+            for key, place in _places(shared, sizes, n).items():
+                joint[:n, place] = S[:, columns[key]]
         joint[n:, n:] = root
     return [*own, *shared], joint
 
@@ -198,7 +208,7 @@ def marginal_root(joint: FloatArray, kept: BoolArray) -> FloatArray:
             continue
         for i in range(c - 1, top - 1, -1):
             a, b = R[i, c], R[i + 1, c]
-            length = np.hypot(a, b)
+            length = np.sqrt(a * a + b * b)
             if length == 0.0:
                 continue
             cos, sin = a / length, b / length

@@ -9,24 +9,54 @@ from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import ImuInterval, bias_vector
 from craternav_fg.estimators.incremental import Isam
 from craternav_fg.estimators.sensor_bank import SensorBank, gyro_at, gyro_variance
-from factors.arrays import FloatArray
+from factors.arrays import FloatArray, IntArray
 from factors.kernels import strapdown
+from factors.kernels.compiled import njit
 
 
-def _from_gtsam() -> FloatArray:
-    """Jacobian (18, 15) from GTSAM's rotation, translation in b, velocity, accelerometer bias, gyro bias."""
-    T = np.zeros((strapdown.SIZE, 15))
-    T[strapdown.ATTITUDE, 0:3] = np.eye(3)
-    T[strapdown.VELOCITY, 6:9] = np.eye(3)
-    T[strapdown.ACCELEROMETER_BIAS, 9:12] = np.eye(3)
-    T[strapdown.GYRO_BIAS, 12:15] = np.eye(3)
-    T[strapdown.RATE, 12:15] = -np.eye(3)
-    return T
+def _source() -> IntArray:
+    """Of each entry of `strapdown`'s error state, where it is in GTSAM's."""
+    source = np.empty(strapdown.SIZE, dtype=np.int64)
+    for part, begin in (
+        (strapdown.ATTITUDE, 0), (strapdown.POSITION, 3), (strapdown.VELOCITY, 6),
+        (strapdown.ACCELEROMETER_BIAS, 9), (strapdown.GYRO_BIAS, 12), (strapdown.RATE, 12),
+    ):  # fmt: skip
+        source[part] = begin + np.arange(3)
+    return source
 
 
-# All but the position, which is turned from b to g.
-_FROM_GTSAM = _from_gtsam()
-_RATES = np.arange(strapdown.RATE.start, strapdown.RATE.stop)
+_SOURCE = _source()
+_POSITION = strapdown.POSITION.start
+_RATES = tuple(range(strapdown.RATE.start, strapdown.RATE.stop))
+
+
+@njit(cache=True, error_model="numpy")
+def _covariance(joint: FloatArray, gTb: FloatArray, rate_variance: float) -> FloatArray:
+    """Covariance (18 + m, 18 + m) in the error state of `strapdown`, then m biases of sensors.
+
+    From that (15 + m, 15 + m) of GTSAM's rotation, translation in b, velocity, accelerometer bias, gyro bias,
+    then the sensors' biases. The angular velocity is that of an IMU row less the gyro bias; the row's noise
+    adds its variance.
+    """
+    n, begin = len(joint) + 3, _POSITION
+    out = np.empty((n, n))
+    for i in range(n):
+        of_i = _SOURCE[i] if i < len(_SOURCE) else i - 3
+        for j in range(n):
+            of_j = _SOURCE[j] if j < len(_SOURCE) else j - 3
+            turned = (i in _RATES) != (j in _RATES)
+            out[i, j] = -joint[of_i, of_j] if turned else joint[of_i, of_j]
+    for j in range(n):
+        x, y, z = out[begin, j], out[begin + 1, j], out[begin + 2, j]
+        for k in range(3):
+            out[begin + k, j] = gTb[k, 0] * x + gTb[k, 1] * y + gTb[k, 2] * z
+    for i in range(n):
+        x, y, z = out[i, begin], out[i, begin + 1], out[i, begin + 2]
+        for k in range(3):
+            out[i, begin + k] = gTb[k, 0] * x + gTb[k, 1] * y + gTb[k, 2] * z
+    for k in _RATES:
+        out[k, k] += rate_variance
+    return out
 
 
 def newest_state(
@@ -74,27 +104,21 @@ def newest_state(
         pose = tree.calculateEstimatePose3(X(index))
     gTb = np.ascontiguousarray(pose.matrix())
     bias = bias_vector(tree.calculateEstimateConstantBias(B(index)))
-    T = _FROM_GTSAM.copy()
-    T[strapdown.POSITION, 3:6] = gTb[:3, :3]
     rate = gyro_at(descent, stamp_ns) - bias[:3]
-    # What this noise turned in its row is far less than the attitude's own error.
-    of_row = gyro_variance(descent, stamp_ns)
     gV = tree.calculateEstimateVector(V(index))
+    # What the row's noise turned is far less than the attitude's own error. GTSAM's matrices are
+    # column-major, and the kernel is compiled for the other order: the transpose is the same.
+    covariance = _covariance(joint.T, gTb, gyro_variance(descent, stamp_ns))
     sigmas = bank.sigmas
     if not len(sigmas):
-        covariance = T @ joint @ T.T
-        covariance[_RATES, _RATES] += of_row
         return FilterState(gTb, gV, rate, bias, covariance)
     # A sensor that has not measured yet has the bias of its prior.
-    sensor_bias, measured = np.zeros(len(sigmas)), np.zeros(len(sigmas), dtype=np.bool_)
+    sensor_bias, scale, places = np.zeros(len(sigmas)), np.ones(len(covariance)), list(range(strapdown.SIZE))
     for part, key in known:
         sensor_bias[part] = sigmas[part] * tree.calculateEstimateVector(key)
-        measured[part] = True
-    whole = np.zeros((strapdown.SIZE + len(sigmas), len(joint)))
-    whole[: strapdown.SIZE, :15] = T
-    whole[strapdown.SIZE + np.flatnonzero(measured), 15:] = np.diag(sigmas[measured])
-    covariance = whole @ joint @ whole.T
-    covariance[_RATES, _RATES] += of_row
-    rest = strapdown.SIZE + np.flatnonzero(~measured)
-    covariance[rest, rest] = sigmas[~measured] ** 2
-    return FilterState(gTb, gV, rate, bias, covariance, sensor_bias)
+        own = range(*part.indices(len(sigmas)))
+        scale[len(places) : len(places) + len(own)] = sigmas[part]
+        places += [strapdown.SIZE + number for number in own]
+    whole = np.diag(np.concatenate([np.zeros(strapdown.SIZE), sigmas**2]))
+    whole[np.ix_(places, places)] = scale[:, None] * covariance * scale
+    return FilterState(gTb, gV, rate, bias, whole, sensor_bias)

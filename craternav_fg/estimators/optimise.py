@@ -13,7 +13,7 @@ import numpy as np
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.correlated_errors import MAP_LETTERS, STATE_SIZE
-from craternav_fg.estimators.elimination import CholeskyOrder
+from craternav_fg.estimators.graph import cholesky_order
 from craternav_fg.measurements import SHARED_SIZE
 from factors.arrays import FloatArray
 
@@ -88,36 +88,39 @@ class LmResult:
     converged : bool
         False when the iterations ran out, or where a discontinuity of the error stopped them short of an
         optimum.
+    contraction : float
+        By what share of the last but one the last step lowered the error; 1 where they were not two.
     """
 
     values: gtsam.Values
     error: float
     iterations: int
     converged: bool
+    contraction: float = 1.0
 
 
 class _Solver:
-    """Minimises the error of linear graphs.
+    """Minimises the error of a graph's linear ones.
 
     Parameters
     ----------
+    graph : gtsam.NonlinearFactorGraph
     cholesky : bool
         Whether to begin with Cholesky factorisation; QR takes over from the first graph that it refuses.
     """
 
-    def __init__(self, *, cholesky: bool) -> None:
-        # Those of the first graph: all have the same factors.
+    def __init__(self, graph: gtsam.NonlinearFactorGraph, *, cholesky: bool) -> None:
+        self._graph = graph
+        # That of the first linear graph: all have the same factors.
         self._ordering: gtsam.Ordering | None = None
-        self._order: CholeskyOrder | None = None
         self.cholesky = cholesky
 
     def solve(self, linear: gtsam.GaussianFactorGraph) -> gtsam.VectorValues:
         """Minimise the error of one; RuntimeError where it does not determine all variables."""
         if self.cholesky:
-            if self._order is None:
-                self._order = CholeskyOrder(linear)
+            order = cholesky_order(self._graph, linear)
             with suppress(RuntimeError):
-                return self._order.apart(linear).optimize(self._order.ordering)
+                return order.apart(linear).optimize(order.ordering)
             self.cholesky = False
         if self._ordering is None:
             self._ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
@@ -148,8 +151,8 @@ def levenberg_marquardt(
     error = graph.error(values)
     if not np.isfinite(error):
         raise EstimationError(f"the error at the start is {error}")
-    solver = _Solver(cholesky=options.cholesky)
-    damping = 0.0
+    solver = _Solver(graph, cholesky=options.cholesky)
+    damping = gain = 0.0
     for iteration in range(1, options.max_iterations + 1):
         linear = graph.linearize(values)
         while True:
@@ -171,15 +174,16 @@ def levenberg_marquardt(
                 # At the optimum: rounding decides whether a step goes down.
                 return LmResult(values, error, iteration, _at_rest(linear, solver, damping))
             damping = max(10.0 * damping, options.first_damping)
-        gain = error - new_error
+        last, gain = gain, error - new_error
+        contraction = gain / last if last > gain else 1.0
         values, error = candidate, new_error
         if damping == 0.0 and step is not None and not solver.cholesky and gain <= MAX_LAST_SHARE * error:
             missed = abs(gain - _predicted_decrease(linear, step))
             if missed <= _gain_that_ends(error, options):
-                return LmResult(values, error, iteration, True)
+                return LmResult(values, error, iteration, True, contraction)
         damping = 0.1 * damping if damping > options.first_damping else 0.0
         if gain <= _gain_that_ends(error, options):
-            return LmResult(values, error, iteration, _at_rest(linear, solver, damping))
+            return LmResult(values, error, iteration, _at_rest(linear, solver, damping), contraction)
     return LmResult(values, error, options.max_iterations, False)
 
 
@@ -226,7 +230,7 @@ def gauss_newton(
     LmResult
         Not converged, too, when a step leads to where the graph does not determine all variables.
     """
-    solver = _Solver(cholesky=False)
+    solver = _Solver(graph, cholesky=False)
     error = graph.error(values)
     for iteration in range(1, options.max_iterations + 1):
         step = _step(graph.linearize(values), values, solver, 0.0)

@@ -3,15 +3,19 @@
 from dataclasses import replace
 from typing import Any
 
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import X
 from numpy.testing import assert_allclose
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import batch
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.batch import BatchSmoother, build_graph, trajectory
+from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.estimators.online import OnlineSmoother
+from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from tests.descents import problem, scenario
 from tests.estimators.test_correlated_errors import KNOWING, spoilt
 
@@ -76,3 +80,32 @@ def test_of_two_optima_the_one_is_taken_that_fits_what_is_stated(
         errors[:], finished[:] = [second, first], []
         assert_allclose(BatchSmoother(KNOWING).estimate(p).gP, expected.gP, atol=1.0)
         assert finished == taken
+
+
+def test_contracting_steps_need_one_elimination_for_the_covariances(
+    p: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A step that leaves nothing is the last one; where contraction is unknown, the next one tells."""
+    one = replace(p, frames=p.frames[:1])
+    start = OnlineSmoother(KNOWING).run(one).smoothed_values()
+    graph = build_graph(one, KNOWING, start)
+    best = levenberg_marquardt(graph, start, LmOptions(relative_tolerance=1e-14)).values
+    near = gtsam.Values(best)
+    near.update(X(0), best.atPose3(X(0)).retract(np.array([0.0, 0.0, 0.0, 1e-2, 0.0, 0.0])))
+    predicted = Marginals(graph, near).predicted_decrease
+    near.update(
+        X(0),
+        best.atPose3(X(0)).retract(np.array([0.0, 0.0, 0.0, 1e-2 * np.sqrt(1e-3 / predicted), 0.0, 0.0])),
+    )
+    made = []
+
+    class Counted(Marginals):
+        def __init__(self, *graph_and_values: Any, **options: Any) -> None:
+            super().__init__(*graph_and_values, **options)
+            made.append(self.predicted_decrease)
+
+    monkeypatch.setattr("craternav_fg.estimators.batch.Marginals", Counted)
+    trajectory(one, KNOWING, graph, near, [0], contraction=1e-4)
+    assert_allclose(made, [1e-3], rtol=0.1)
+    trajectory(one, KNOWING, graph, near, [0])
+    assert len(made) == 3

@@ -222,6 +222,9 @@ def test_a_step_that_gains_more_than_predicted_is_not_the_last() -> None:
     result = levenberg_marquardt(graph, values, LmOptions(relative_tolerance=1e-6))
     assert result.converged
     assert result.error - 0.5 < 1e-6
+    assert_allclose(result.contraction, 0.25, rtol=0.02)
+    first = levenberg_marquardt(graph, values, LmOptions(relative_tolerance=1e6))
+    assert (first.iterations, first.contraction) == (1, 1.0)
 
 
 def test_a_start_that_sees_no_crater_is_no_result(trials: list[tuple[Problem, Trajectory]]) -> None:
