@@ -151,6 +151,11 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     cached = options.pop("cache", False)
     # No kernel is called back from C: that entry takes a tenth of the compilation.
     options["no_cfunc_wrapper"] = True
+    # What a kernel does not set numba takes from the one that happens to call it first, and caches that.
+    options = {"fastmath": False, "error_model": "python", **options}
+    # Of sums that may be reordered there must be one version: with a copy in each caller, optimised again,
+    # that which runs depends on what the process has compiled, and so do the last digits.
+    options["forceinline"] = bool(options["fastmath"])
 
     def compiled(function: Callable[..., Any]) -> Any:
         if _SWITCHED_OFF:

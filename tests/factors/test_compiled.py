@@ -157,3 +157,29 @@ def test_kernels_stay_python_where_numba_is_switched_off() -> None:
     np.testing.assert_allclose(
         np.array(chart, dtype=float), [0.0, 0.0, np.log(0.09), 0.0, np.log(0.07)], atol=1e-12
     )
+
+
+def test_sums_of_a_called_kernel_are_reordered_only_where_it_says_so() -> None:
+    """Whoever calls it first; and in its callers it is inlined, so that no copy is another version."""
+
+    @compiled.njit(cache=False)
+    def in_order(x: FloatArray) -> float:
+        total = 0.0
+        for i in range(len(x)):
+            total += x[i]
+        return total
+
+    @compiled.njit(cache=False, fastmath={"reassoc"})
+    def reordered(x: FloatArray) -> float:
+        total = in_order(x)
+        for i in range(len(x)):
+            total += x[i] * x[i]
+        return total
+
+    reordered(np.ones(3))
+    (code,) = in_order.inspect_llvm().values()
+    assert "fadd double" in code
+    assert "reassoc" not in code
+    (code,) = reordered.inspect_llvm().values()
+    assert "fadd reassoc" in code
+    assert "alwaysinline" in code
