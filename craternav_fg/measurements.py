@@ -123,8 +123,9 @@ class RimSet:
         the rim, in the order of `factors.kernels.rim_errors.ground_slopes`, and the last two tilt its plane;
         m is 6, 2 or 8. None when the map counts as exact.
     shared : ndarray, shape (n, 5, 8), optional
-        Root A of the common part of the covariance: the error is A z, with one z for all rims and frames.
-        None when no such part is known.
+        Root A of the common part of the covariance: the error is A z, with one z for all rims and frames,
+        but for the entries of the third and the last column, which change slowly as the camera comes to other
+        ground (`estimators.correlated_errors.REGIONAL`). None when no such part is known.
     fused_white : ndarray, shape (n, 5, 5), optional
         Covariance of the white part in estimators that fuse frames, where it is larger than the rims' own:
         where rims scatter more than they claim, neighbouring ones err alike, which no part of the covariance

@@ -31,7 +31,7 @@ from craternav_fg.measurements import (
     FrameMeasurement,
     RimSet,
 )
-from factors.arrays import FloatArray
+from factors.arrays import FloatArray, IntArray
 from factors.conic_shape import ChartError
 from factors.kernels.compiled import njit
 
@@ -51,6 +51,9 @@ SHARED_LETTER = "s"
 # Frames that involve one variable of the error that all rims share, where it is renewed, and the standard
 # deviation by which the next one differs: of no effect after thousands, and harmless to factorisations.
 SHARED_FRAMES, _EQUAL = 8, 1e-3
+# Columns of `RimSet.shared` that belong to a region, by its slopes and its brightness: the shift towards the
+# sun, and what the brightness of the ground does.
+REGIONAL = (2, 7)
 # Inflation of the variance of time-correlated errors where they are treated as white: they do not average out
 # over the frames that show a crater. Half of some ten frames, as the errors of neighbouring rims differ.
 # Fitted by `craternav_fg.calibration.variance_inflation`.
@@ -71,6 +74,12 @@ class RimErrorOptions:
         with the image, like the rim's own errors: heights vary along the rims of real craters, so that their
         centres move as they are seen from other sides. With a map that is wrong but for that, 1 is right.
         Chosen, see `craternav_fg.calibration`.
+    region_overlap : float
+        Share of a frame's craters below which its region is another one than that in which the present
+        variable of the error that all rims share began.
+    region_correlation : float
+        Correlation of the errors that the rims of a region share with those of the next region, see
+        `REGIONAL`. Chosen with `region_overlap`, see `craternav_fg.calibration`.
     step_shape_change : float
         Change below which the error is the same variable; 0 makes one for every rim of every frame. Within a
         step a rim's place drifts as the variable says, and its other errors are constant.
@@ -78,6 +87,8 @@ class RimErrorOptions:
 
     decay_shape_change: float = 0.8
     constant_place_share: float = 0.5
+    region_overlap: float = 0.8
+    region_correlation: float = 0.7
     step_shape_change: float = 0.1
 
     def __post_init__(self) -> None:
@@ -87,6 +98,12 @@ class RimErrorOptions:
             )
         if not 0.0 <= self.constant_place_share <= 1.0:
             raise EstimationError(f"constant_place_share: expected 0 to 1, found {self.constant_place_share}")
+        if not 0.0 <= self.region_overlap <= 1.0:
+            raise EstimationError(f"region_overlap: expected 0 to 1, found {self.region_overlap}")
+        if not 0.0 <= self.region_correlation < 1.0:
+            raise EstimationError(
+                f"region_correlation: expected 0 to less than 1, found {self.region_correlation}"
+            )
         if not 0.0 <= self.step_shape_change < np.inf:
             raise EstimationError(f"step_shape_change: expected 0 or more, found {self.step_shape_change}")
 
@@ -172,6 +189,43 @@ def transitions(changes: FloatArray, decay: float) -> tuple[FloatArray, FloatArr
     return F, W
 
 
+def next_region(region: frozenset[int], craters: IntArray, options: RimErrorOptions) -> frozenset[int]:
+    """Tell whether a frame still sees a region, by the craters of its rims.
+
+    Parameters
+    ----------
+    region : frozenset of int
+        Craters of the first frame of the present region.
+    craters : ndarray of int, shape (n,)
+        Those of the frame.
+    options : RimErrorOptions
+
+    Returns
+    -------
+    frozenset of int
+        The same object, or the craters of the frame, which begins another region.
+    """
+    here = frozenset(craters.tolist())
+    return region if len(here & region) >= options.region_overlap * len(here) else here
+
+
+def correlation_of_regions(options: RimErrorOptions) -> FloatArray:
+    """Correlation of the errors that all rims of a region share with those of the next one.
+
+    Parameters
+    ----------
+    options : RimErrorOptions
+
+    Returns
+    -------
+    ndarray, shape (8,)
+        By the columns of `RimSet.shared`; almost 1 for errors that do not belong to a region.
+    """
+    correlation = np.full(SHARED_SIZE, np.sqrt(1.0 - _EQUAL**2))
+    correlation[list(REGIONAL)] = options.region_correlation
+    return correlation
+
+
 class RimErrorStates:
     """The variables of rims' errors, frame by frame: time-correlated ones, those of the map, the shared one.
 
@@ -191,20 +245,22 @@ class RimErrorStates:
         # Of each crater: the variable of its error on the map.
         self._of_map: dict[int, int] = {}
         self._count = self._map_count = 0
-        # Variables of the shared error so far, and the frames that involve the last one.
+        # Variables of the shared error so far, the frames that involve the last one, and the craters of the
+        # first frame of its region.
         self._shared = self._frames = 0
+        self._region = frozenset[int]()
         # What `take_back` returns to: counts, and the former entries of both tables that have changed.
-        self._counts = 0, 0, 0, 0
+        self._counts = 0, 0, 0, 0, self._region
         self._former: list[tuple[dict[int, Any], int, Any]] = []
 
     def mark(self) -> None:
         """Note the present state: `take_back` returns to it."""
-        self._counts = self._count, self._map_count, self._shared, self._frames
+        self._counts = self._count, self._map_count, self._shared, self._frames, self._region
         self._former.clear()
 
     def take_back(self) -> None:
         """Forget the frames that have entered since `mark`."""
-        self._count, self._map_count, self._shared, self._frames = self._counts
+        self._count, self._map_count, self._shared, self._frames, self._region = self._counts
         for table, crater, former in reversed(self._former):
             if former is None:
                 del table[crater]
@@ -247,7 +303,8 @@ class RimErrorStates:
         if rims.of_map is not None and len(rims):
             out.append(self._of_maps(rims, rims.of_map, graph, values, holds))
         if rims.shared is not None and len(rims):
-            out.append(ChartError([self._of_all(graph, values, holds)] * len(rims), rims.shared))
+            key = self._of_all(rims.craters, graph, values, holds)
+            out.append(ChartError([key] * len(rims), rims.shared))
         return out
 
     def enter_arcs(
@@ -275,11 +332,12 @@ class RimErrorStates:
         if roots is None or not len(frame.arcs):
             return None
         if frame.rims.shared is None or not len(frame.rims):
-            return self._of_all(graph, values, holds), roots
+            return self._of_all(frame.arcs.craters, graph, values, holds), roots
         return gtsam.symbol(SHARED_LETTER, self._shared - 1), roots
 
     def _of_all(
         self,
+        craters: IntArray,
         graph: gtsam.NonlinearFactorGraph,
         values: gtsam.Values,
         holds: Callable[[int], bool] | None,
@@ -287,19 +345,25 @@ class RimErrorStates:
         """Go on with the variable that all rims share, or begin another."""
         last: int = gtsam.symbol(SHARED_LETTER, max(self._shared - 1, 0))
         held = self._shared > 0 and (holds is None or values.exists(last) or holds(last))
-        if held and not (self._renewed and self._frames == SHARED_FRAMES):
+        region = next_region(self._region, craters, self._options)
+        same = held and region is self._region
+        if same and not (self._renewed and self._frames == SHARED_FRAMES):
             self._frames += 1
             return last
         key: int = gtsam.symbol(SHARED_LETTER, self._shared)
         self._shared, self._frames = self._shared + 1, 1
-        zero = np.zeros(SHARED_SIZE)
+        zero, unit = np.zeros(SHARED_SIZE), gtsam.noiseModel.Unit.Create(SHARED_SIZE)
         values.insert(key, zero)
-        if held:
+        if not held:
+            graph.push_back(gtsam.PriorFactorVector(key, zero, unit))
+        elif same:
             model = gtsam.noiseModel.Isotropic.Sigma(SHARED_SIZE, _EQUAL)
             graph.push_back(gtsam.BetweenFactorVector(last, key, zero, model))
         else:
-            unit = gtsam.noiseModel.Unit.Create(SHARED_SIZE)
-            graph.push_back(gtsam.PriorFactorVector(key, zero, unit))
+            correlation = correlation_of_regions(self._options)
+            W = np.diag(1.0 / np.sqrt(1.0 - correlation**2))
+            graph.push_back(_link(key, W, last, W * correlation, unit))
+        self._region = region
         return key
 
     def _of_maps(
@@ -358,7 +422,7 @@ class RimErrorStates:
         roots = np.zeros((len(rims), 5, STATE_SIZE))
         roots[:, :, PLACE_SIZE:CORRELATED_SIZE] = correlated[:, :, PLACE_SIZE:]
         roots += correlated[:, :, :PLACE_SIZE] @ drift
-        keys, point = [], gtsam.Values()
+        keys = []
         for i, (crater, track) in enumerate(zip(craters, tracks, strict=True)):
             if track is None or ends[i]:
                 key = gtsam.symbol(ERROR_LETTER, self._count)
@@ -368,11 +432,18 @@ class RimErrorStates:
                 if track is None:
                     graph.push_back(gtsam.PriorFactorVector(key, _ZERO, _UNIT))
                 else:
-                    link = gtsam.JacobianFactor(key, W[i], track[0], -W[i] @ F[i], _ZERO, _UNIT)
-                    for end in (key, track[0]):
-                        point.insert(end, _ZERO)
-                    graph.push_back(gtsam.LinearContainerFactor(link, point))
+                    graph.push_back(_link(key, W[i], track[0], W[i] @ F[i], _UNIT))
             else:
                 key = track[0]
             keys.append(key)
         return ChartError(keys, roots)
+
+
+def _link(
+    key: int, W: FloatArray, before: int, WF: FloatArray, unit: gtsam.noiseModel.Unit
+) -> gtsam.LinearContainerFactor:
+    """Factor between two variables of an error of which one continues the other: W z = W F z_before."""
+    zero, point = np.zeros(len(W)), gtsam.Values()
+    for end in (key, before):
+        point.insert(end, zero)
+    return gtsam.LinearContainerFactor(gtsam.JacobianFactor(key, W, before, -WF, zero, unit), point)

@@ -18,6 +18,8 @@ from craternav_fg.estimators.correlated_errors import (
     STATE_SIZE,
     VARIANCE_INFLATION,
     RimErrorOptions,
+    correlation_of_regions,
+    next_region,
 )
 from craternav_fg.estimators.correlated_errors import transition as transition_of_errors
 from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims, linearise_sun
@@ -203,6 +205,8 @@ class _AugmentedState:
         self._of_crater = STATE_SIZE + of_map * (MAP_SIZE + TILT_SIZE)
         self.of_rims = SHARED_SIZE if any(frame.rims.shared is not None for frame in frames) else 0
         self._shared = self.of_rims + biases
+        self._begins_region = _region_begins(frames, options)
+        self._of_regions = correlation_of_regions(options)
         self._charts: dict[int, FloatArray] = {}
         self._tracks = tracks
         self.first: dict[int, int] = {}
@@ -233,6 +237,9 @@ class _AugmentedState:
         whole[:_SIZE, :_SIZE], noise[:_SIZE, :_SIZE] = F, Q
         for j in range(_SIZE, _SIZE + self._shared):
             whole[j, j] = 1.0
+        if self._begins_region[k]:
+            for j, correlation in enumerate(self._of_regions, start=_SIZE):
+                whole[j, j], noise[j, j] = correlation, 1.0 - correlation**2
         for crater, row in self.first.items():
             own = slice(row, row + self._of_crater)
             noise[own, own] = np.eye(self._of_crater)
@@ -249,6 +256,17 @@ class _AugmentedState:
                 else:
                     noise[j, j] = 1.0
         return whole, noise
+
+
+def _region_begins(frames: Sequence[FrameMeasurement], options: RimErrorOptions) -> list[bool]:
+    """Whether rims see another region than those of the frames before."""
+    region, begins = frozenset[int](), []
+    for frame in frames:
+        before = region
+        if frame.rims.shared is not None and len(frame.rims):
+            region = next_region(before, frame.rims.craters, options)
+        begins.append(bool(before) and region is not before)
+    return begins
 
 
 def _kept(frame: FrameMeasurement) -> dict[int, FloatArray]:
