@@ -292,7 +292,7 @@ def _settled(
         values, marginals = nearer, Marginals(graph, nearer, cholesky=marginals.cholesky)
         if not marginals.predicted_decrease < predicted:
             break
-        contraction = marginals.predicted_decrease / predicted
+        contraction = max(marginals.predicted_decrease / predicted, 0.0)
     values = _converged(levenberg_marquardt(graph, values, FINAL_LM)).values
     return values, Marginals(graph, values)
 
