@@ -21,8 +21,8 @@ from craternav_fg.vision.guided import GuidedFrontEnd
 from factors.arrays import FloatArray
 
 SCENARIO = "lunar_descent"
-# The demo's frames are 4 s apart; fewer are rendered here.
-INTERVAL_S = 12.0
+# As in the scenario: between frames further apart, the IMU takes a larger part than it has in the demo.
+INTERVAL_S = 4.0
 # Frames with about ten rims count; the time grows with their number.
 MIN_RIMS, MAX_RIMS = 7, 14
 # Standard deviations of the initial state, per axis.
@@ -65,7 +65,7 @@ class _Timed(GuidedFrontEnd):
 
 
 def pipeline_ms() -> dict[str, float]:
-    """Process every third frame of the demo's descent, frame by frame.
+    """Process the frames of the demo's descent, one by one.
 
     The time is that of the tracker: prediction, guided measurement with the sun tilt, the joint gate, pooled
     errors, and the online smoother's update. It is processor time of all threads, as on one core. Reading the

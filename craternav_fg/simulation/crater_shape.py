@@ -130,15 +130,17 @@ def crater_profile(rho: float, depth: float, rim: float, crest: float) -> float:
     `crest` is the half-width of the rounding of the crest's outer side, in radii. On the crest, rho = 1, the
     slope is zero and the curvature continuous: a grid then locates the crest without bias.
     """
-    x = rho - 1.0
-    if x > 0.0:
-        return -rim * (1.0 - (1.0 + np.sqrt(x * x + crest * crest) - crest) ** -3)
+    # Both sides everywhere, and no branch: loops over it take several points at once.
+    outward, inward = max(rho - 1.0, 0.0), min(rho - 1.0, 0.0)
+    flank = 1.0 + np.sqrt(outward * outward + crest * crest) - crest
     # The width c of the crest's inner side for which both sides have the same curvature.
     floor = np.sqrt(1.0 + FLOOR * FLOOR) - FLOOR
     q = depth / (floor * np.sqrt(1.0 + FLOOR * FLOOR)) * crest / (3.0 * rim)
     c = q / np.sqrt(1.0 - 2.0 * q)
-    y = 1.0 - (np.sqrt(x * x + c * c) - c) / (np.sqrt(1.0 + c * c) - c)
-    return -depth * (1.0 - (np.sqrt(y * y + FLOOR * FLOOR) - FLOOR) / floor)
+    y = 1.0 - (np.sqrt(inward * inward + c * c) - c) / (np.sqrt(1.0 + c * c) - c)
+    outside = -rim * (1.0 - 1.0 / (flank * flank * flank))
+    inside = -depth * (1.0 - (np.sqrt(y * y + FLOOR * FLOOR) - FLOOR) / floor)
+    return outside if rho > 1.0 else inside
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -165,7 +167,9 @@ def crest_height(distance_m: float, offset2_m2: float, rho: float, radius_m: flo
         m: that of the rim's plane on the crest, rho = 1, and of the plane at the centre.
     """
     # Inside, 1 - (1 - rho^2)^3 of the square of the crest's distance: no edge in slope or curvature.
-    share = 1.0 / (rho * rho) if rho > 1.0 else 3.0 - rho * rho * (3.0 - rho * rho)
+    rho2 = rho * rho
+    outside, inside = 1.0 / max(rho2, 1.0), 3.0 - rho2 * (3.0 - rho2)
+    share = outside if rho > 1.0 else inside
     return np.sqrt(distance_m * distance_m + share * offset2_m2) - radius_m
 
 

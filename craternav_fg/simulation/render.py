@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.dataset.images import ImageArray
-from craternav_fg.simulation import rays
+from craternav_fg.simulation import rays, sunlight
 from craternav_fg.simulation.terrain import Levels, Terrain
 from factors.arrays import FloatArray
 
@@ -107,7 +107,10 @@ class Renderer:
         n = options.samples
         x = (np.arange(n * camera.width_px) + 0.5) / n - 0.5
         y = (np.arange(n * camera.height_px) + 0.5) / n - 0.5
-        self._points = camera.normalised(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+        points = camera.normalised(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+        # Rays of a tile meet near each other, whichever way the camera is turned.
+        self._order = rays.tiles(n * camera.width_px, n * camera.height_px)
+        self._points = points[self._order]
 
     def render(
         self,
@@ -181,7 +184,7 @@ class Renderer:
             blurred = cv2.GaussianBlur(light, (0, 0), options.psf_sigma_px, borderType=cv2.BORDER_REPLICATE)
             light = blurred.astype(np.float32, copy=False)
         mu0 = max(float(sun_g @ self.terrain.relief.gRs[:, 2]), _MIN_COSINE)
-        flat = mu0 * rays.reflectance(mu0, 1.0, mu0, self._law)
+        flat = mu0 * sunlight.reflectance(mu0, 1.0, mu0, self._law)
         signal = light * np.float32(options.flat_level_share / flat)
         if options.vignetting_share > 0.0:
             signal *= self._transmission()
@@ -213,16 +216,18 @@ class Renderer:
         sun = self.terrain.relief.gRs.T @ np.asarray(sun_g, dtype=np.float64)
         with self._levels(gTb) as levels:
             hits = self._hits(gTb, self._points, levels)
-            light = np.empty(len(hits), np.float32)
+            tiled = np.empty(len(hits), np.float32)
 
             def work(lo: int, hi: int) -> None:
-                rays.shade(
+                sunlight.shade(
                     P, hits[lo:hi], sun, self.options.sun_radius_rad, self._law,
                     levels.heights_m, levels.slots, levels.frames_m, self.terrain.body.radius_m,
-                    levels.top_m, levels.slope, light[lo:hi],
+                    levels.top_m, levels.slope, tiled[lo:hi],
                 )  # fmt: skip
 
             self.terrain.run(work, len(hits))
+        light = np.empty_like(tiled)
+        light[self._order] = tiled
         image = light.reshape(camera.height_px, n, camera.width_px, n)
         return np.ascontiguousarray(image.mean(axis=(1, 3)) if n > 1 else image[:, 0, :, 0])
 

@@ -91,6 +91,89 @@ def lift(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _distances(
+    rho: FloatArray, offset2: FloatArray, c: FloatArray, x0: float, y: float, cell: float, radius_m: float
+) -> None:
+    """Write the distances of a row's points from a crater's centre, in radii, and their squares in m^2.
+
+    The direction (x, y, R) meets the plane of the rim at (X, Y) of the crater's frame; `radius_m` is that of
+    the body. In `rho` X and Y are in semi-axes.
+    """
+    height = c[COL_HEIGHT]
+    base = 0.0 if np.isnan(height) else height
+    nx, n0 = c[COL_N], c[COL_N + 1] * y + c[COL_N + 2] * radius_m
+    ax, a0 = c[COL_L1], c[COL_L1 + 1] * y + c[COL_L1 + 2] * radius_m
+    bx, b0 = c[COL_L2], c[COL_L2 + 1] * y + c[COL_L2 + 2] * radius_m
+    per_a2, per_b2 = 1.0 / c[COL_A] ** 2, 1.0 / c[COL_B] ** 2
+    for i in range(rho.shape[0]):
+        x = x0 + i * cell
+        scale = (radius_m + base) / (nx * x + n0)
+        X, Y = scale * (ax * x + a0), scale * (bx * x + b0)
+        offset2[i] = X * X + Y * Y
+        rho[i] = np.sqrt(X * X * per_a2 + Y * Y * per_b2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _deform(rho: FloatArray, c: FloatArray, x0: float, y: float, cell: float, radius_m: float) -> None:
+    """Divide the distances of a row's points from the centre by the outline of an irregular crater."""
+    for i in range(rho.shape[0]):
+        x = x0 + i * cell
+        # The outline depends on the direction in the rim's plane alone.
+        X = c[COL_L1] * x + c[COL_L1 + 1] * y + c[COL_L1 + 2] * radius_m
+        Y = c[COL_L2] * x + c[COL_L2 + 1] * y + c[COL_L2 + 2] * radius_m
+        norm = np.sqrt((X / c[COL_A]) ** 2 + (Y / c[COL_B]) ** 2)
+        scale = rho[i] / norm if norm > 0.0 else 0.0
+        rho[i] /= outline(scale * X / c[COL_A], scale * Y / c[COL_B], c[COL_HARMONICS:])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _raise(
+    heights: Float32Array, free: Float32Array, share: FloatArray, rho: FloatArray, c: FloatArray
+) -> None:
+    """Add a crater that has no height of its own to a row of the terrain."""
+    depth, rim, crest = c[COL_DEPTH], c[COL_RIM], c[COL_CREST]
+    for i in range(heights.shape[0]):
+        raised = share[i] * coverage(rho[i]) * (rim + crater_profile(rho[i], depth, rim, crest))
+        heights[i] += free[i] * raised
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _stand(
+    heights: Float32Array,
+    free: Float32Array,
+    relief: Float32Array,
+    share: FloatArray,
+    rho: FloatArray,
+    offset2: FloatArray,
+    c: FloatArray,
+    east: float,
+    north: float,
+    cell: float,
+    radius_m: float,
+) -> None:
+    """Put a crater at its height into a row of the terrain.
+
+    `east`, `north` are the plane coordinates of the row's first point from the crater's centre, m.
+    """
+    depth, rim, crest = c[COL_DEPTH], c[COL_RIM], c[COL_CREST]
+    level, gradient = c[COL_RELIEF] + c[COL_GRADIENT + 1] * north, c[COL_GRADIENT]
+    height, radius = c[COL_HEIGHT], np.sqrt(c[COL_A] * c[COL_B])
+    for i in range(heights.shape[0]):
+        rough = relief[i] - (level + gradient * (east + i * cell))
+        target = crest_height(radius_m + height, offset2[i], rho[i], radius_m)
+        target += crater_profile(rho[i], depth, rim, crest) + roughness(rho[i] - 1.0, rough, radius)
+        # The flank gives way to the crests of larger craters, the crest does not.
+        own = 1.0 - smoothstep((rho[i] - _OWN_REACH) / _OWN_FADE)
+        weight = share[i] * coverage(rho[i]) * (own + (1.0 - own) * free[i])
+        heights[i] += weight * (target - heights[i])
+        free[i] *= 1.0 - share[i] * (1.0 - protection(rho[i] - 1.0))
+    if c[COL_PEAK] > 0.0:
+        for i in range(heights.shape[0]):
+            if rho[i] < 1.0:
+                heights[i] += share[i] * c[COL_PEAK] * np.exp(-0.5 * (rho[i] / PEAK_WIDTH) ** 2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def stamp(
     heights: Float32Array,
     relief: Float32Array,
@@ -122,62 +205,40 @@ def stamp(
     n = heights.shape[1]
     left, right, low, high = window
     free = np.ones((high - low, right - left), dtype=np.float32)
+    rhos, offsets2, shares = np.empty(right - left), np.empty(right - left), np.empty(right - left)
     for k in range(craters.shape[0]):
         c = craters[k]
-        xc, yc, a, b, reach = c[COL_X], c[COL_Y], c[COL_A], c[COL_B], c[COL_REACH]
-        height, depth, rim, crest, peak = c[COL_HEIGHT], c[COL_DEPTH], c[COL_RIM], c[COL_CREST], c[COL_PEAK]
-        harmonics = c[COL_HARMONICS:]
-        # An outline deviates by at most the sum of its harmonics.
-        widest = 1.0 + np.sum(np.abs(harmonics))
-        irregular = np.any(harmonics != 0.0)
-        radius = np.sqrt(a * b)
-        sunk = np.isnan(height)
-        base = 0.0 if sunk else height
+        xc, yc, b, reach = c[COL_X], c[COL_Y], c[COL_B], c[COL_REACH]
         # Smaller craters would only be aliased.
         if b < _SMALLEST_CELLS * cell:
             continue
         shared = b >= _SHARED_CELLS * cell
+        first = max(left, int(np.ceil((xc - reach - x0) / cell)))
+        last = min(right, int((xc + reach - x0) / cell) + 1)
+        if first >= last:
+            continue
+        harmonics = c[COL_HARMONICS:]
+        irregular = np.any(harmonics != 0.0)
+        rho, offset2, share = rhos[: last - first], offsets2[: last - first], shares[: last - first]
+        east = x0 + first * cell - xc
         for j in range(
             max(low, int(np.ceil((yc - reach - y0) / cell))), min(high, int((yc + reach - y0) / cell) + 1)
         ):
             y = y0 + j * cell
-            for i in range(
-                max(left, int(np.ceil((xc - reach - x0) / cell))),
-                min(right, int((xc + reach - x0) / cell) + 1),
-            ):
-                x = x0 + i * cell
-                # The direction (x, y, R) meets the rim's plane at (X, Y) of the crater's frame.
-                scale = (radius_m + base) / (c[COL_N] * x + c[COL_N + 1] * y + c[COL_N + 2] * radius_m)
-                X = scale * (c[COL_L1] * x + c[COL_L1 + 1] * y + c[COL_L1 + 2] * radius_m)
-                Y = scale * (c[COL_L2] * x + c[COL_L2 + 1] * y + c[COL_L2 + 2] * radius_m)
-                rho2 = (X / a) ** 2 + (Y / b) ** 2
-                if rho2 >= REACH * REACH * widest * widest:
-                    continue
-                rho = np.sqrt(rho2)
-                if irregular:
-                    rho /= outline(X / a, Y / b, harmonics)
-                    if rho >= REACH:
-                        continue
-                inside = min(min(i, j), n - 1 - max(i, j)) - 4
-                share = 1.0 if shared else min(max(inside / fade, 0.0), 1.0)
-                if sunk:
-                    raised = share * coverage(rho) * (rim + crater_profile(rho, depth, rim, crest))
-                    heights[j, i] += free[j - low, i - left] * raised
-                    continue
-                clear = protection(rho - 1.0)
-                rough = relief[j - low, i - left] - (
-                    c[COL_RELIEF] + c[COL_GRADIENT] * (x - xc) + c[COL_GRADIENT + 1] * (y - yc)
-                )
-                target = crest_height(radius_m + height, X * X + Y * Y, rho, radius_m)
-                target += crater_profile(rho, depth, rim, crest) + roughness(rho - 1.0, rough, radius)
-                if peak > 0.0:
-                    target += peak * np.exp(-0.5 * (rho / PEAK_WIDTH) ** 2)
-                weight = share * coverage(rho)
-                # The flank gives way to the crests of larger craters, the crest does not.
-                own = 1.0 - smoothstep((rho - _OWN_REACH) / _OWN_FADE)
-                weight *= own + (1.0 - own) * free[j - low, i - left]
-                heights[j, i] += weight * (target - heights[j, i])
-                free[j - low, i - left] *= 1.0 - share * (1.0 - clear)
+            _distances(rho, offset2, c, xc + east, y, cell, radius_m)
+            if irregular:
+                _deform(rho, c, xc + east, y, cell, radius_m)
+            for i in range(last - first):
+                inside = min(min(first + i, j), n - 1 - max(first + i, j)) - 4
+                share[i] = 1.0 if shared else min(max(inside / fade, 0.0), 1.0)
+            row, open_row = heights[j, first:last], free[j - low, first - left : last - left]
+            if np.isnan(c[COL_HEIGHT]):
+                _raise(row, open_row, share, rho, c)
+            else:
+                _stand(
+                    row, open_row, relief[j - low, first - left : last - left], share, rho, offset2, c, east,
+                    y - yc, cell, radius_m,
+                )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

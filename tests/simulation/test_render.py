@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from craternav_fg.simulation import rays
+from craternav_fg.simulation import sunlight
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.crests import crest_offsets_px
 from craternav_fg.simulation.render import Renderer, RenderOptions
@@ -211,7 +211,7 @@ def test_a_point_is_as_bright_as_it_is_alone(terrain):
 
     def brightness(points):
         light = np.full(len(points), np.nan, np.float32)
-        rays.shade(
+        sunlight.shade(
             P, points, sun, 0.00465, law, levels.heights_m, levels.slots, levels.frames_m,
             scene.MOON.radius_m, levels.top_m, levels.slope, light,
         )  # fmt: skip
