@@ -74,8 +74,8 @@ def _misfits(
     """Squared misfits (m,) of steps (n,) between flanks for shares L (m,), the rim's steepness adjusted."""
     light = rim_light(chart_px, shading)
     q, means = np.empty(6), np.empty((2, 2))
-    sums = np.zeros((len(shares), 2))
-    whole = 0.0
+    # Of the steps, and of what the two terms of the law predict for them.
+    whole = by_lommel = by_lambert = lommel2 = mixed = lambert2 = 0.0
     flat = sloping_terms(light, 0.0, 1.0, 0.0)
     for i in range(len(angles)):
         rim_point(chart_px, angles[i], q)
@@ -89,14 +89,18 @@ def _misfits(
         inner = sloping_terms(light, x, y, means[0, 1])
         x, y = turned(view, means[1, 0])
         outer = sloping_terms(light, x, y, means[1, 1])
+        lommel, lambert = inner[0] - outer[0], inner[1] - outer[1]
         whole += steps[i] * steps[i]
-        for k in range(len(shares)):
-            share = shares[k]
-            step = share * (inner[0] - outer[0]) + (1.0 - share) * (inner[1] - outer[1])
-            step /= share * flat[0] + (1.0 - share) * flat[1]
-            sums[k, 0] += steps[i] * step
-            sums[k, 1] += step * step
+        by_lommel += steps[i] * lommel
+        by_lambert += steps[i] * lambert
+        lommel2 += lommel * lommel
+        mixed += lommel * lambert
+        lambert2 += lambert * lambert
     out = np.empty(len(shares))
     for k in range(len(shares)):
-        out[k] = whole - max(sums[k, 0], 0.0) ** 2 / max(sums[k, 1], 1e-12)
+        a, b = shares[k], 1.0 - shares[k]
+        level = a * flat[0] + b * flat[1]
+        product = (a * by_lommel + b * by_lambert) / level
+        square = (a * a * lommel2 + 2.0 * a * b * mixed + b * b * lambert2) / (level * level)
+        out[k] = whole - max(product, 0.0) ** 2 / max(square, 1e-12)
     return out

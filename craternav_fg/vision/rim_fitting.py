@@ -1,5 +1,6 @@
 """Ellipses fitted to the edge points of predicted rims, with their errors and their quality."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.predicted_rims import PredictedRims
 from craternav_fg.vision.robust_scale import median
 from factors.arrays import FloatArray, ImageArray
+from factors.kernels.compiled import njit
 
 # Minimum share of a rim's normals that have contrast and lie in the image.
 _MIN_TRIED_SHARE = 0.4
@@ -233,8 +235,15 @@ class RimFitter:
         opt = self._options
         if len(edges) == 0:
             return 0.0
-        level = np.hypot(opt.level_scatter_share * self._scatter, opt.level_rim_share * np.std(edges.level))
-        return float(level * median(np.linalg.norm(edges.motion, axis=1)))
+        scatter, length = _scatter_and_length(edges.level, edges.motion)
+        return length * math.hypot(opt.level_scatter_share * self._scatter, opt.level_rim_share * scatter)
+
+
+@njit(cache=True, error_model="numpy")
+def _scatter_and_length(level: FloatArray, motion: FloatArray) -> tuple[float, float]:
+    """Compute the standard deviation of levels (n,) and the median length of motions (n, 2)."""
+    length: float = np.median(np.hypot(motion[:, 0], motion[:, 1]))
+    return float(np.std(level)), length
 
 
 def _common_share(crossings: list[tuple[int, EdgePoints]]) -> float:

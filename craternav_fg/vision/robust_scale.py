@@ -10,6 +10,8 @@ FloatArray = npt.NDArray[np.float64] | npt.NDArray[np.float32]
 
 # Standard deviation of a Gaussian over its median absolute deviation, 1 / Phi^-1(3/4).
 MAD_TO_SIGMA = 1.4826
+# So many values are partitioned at one place in a third of the time that sorting takes.
+_MANY = 4096
 
 
 def median(values: FloatArray) -> FloatArray:
@@ -48,9 +50,15 @@ def robust_sigma(deviations: FloatArray) -> float:
     float
         In the unit of the deviations.
     """
+    sizes = np.abs(deviations)
+    n = sizes.size
     # Scalars here: for a few numbers, those of `median` as arrays take longer than the sort.
-    ordered = np.sort(np.abs(deviations), axis=None)
-    n, last = len(ordered), float(ordered[-1])
-    middle = 0.5 * (float(ordered[(n - 1) // 2]) + float(ordered[n // 2]))
+    if n < _MANY:
+        ordered = np.sort(sizes, axis=None)
+        lower, last = float(ordered[(n - 1) // 2]), float(ordered[-1])
+    else:
+        ordered = np.partition(sizes, n // 2, axis=None)
+        lower, last = float(ordered[: n // 2 + n % 2].max()), float(ordered.max())
+    middle = 0.5 * (lower + float(ordered[n // 2]))
     # NaN is sorted to the end.
     return MAD_TO_SIGMA * (last if math.isnan(last) else middle)

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from craternav_fg.camera import Camera
 from craternav_fg.simulation import sunlight
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.crests import crest_offsets_px
@@ -262,6 +263,17 @@ def test_more_samples_average_over_the_pixel(terrain):
     four = Renderer(scene.CAMERA, terrain, replace(CLEAN, samples=2)).radiance(gTb, toward)
     assert np.corrcoef(one.ravel(), four.ravel())[0, 1] > 0.99
     assert not np.array_equal(one, four)
+
+
+def test_small_images_are_cut_outs_of_large_ones(terrain):
+    # Their sides are no multiples of those of the tiles in which rays are traced.
+    gTb, toward = scene.pose(scene.track()[40], 12.0, 30.0), scene.sun(30.0, 80.0)
+    small = Camera(75, 50, scene.FOCAL, scene.FOCAL, 37.5, 25.5)
+    large = Renderer(scene.CAMERA, terrain, CLEAN).radiance(gTb, toward)[486:536, 474:549]
+    light = Renderer(small, terrain, CLEAN).radiance(gTb, toward)
+    assert light.shape == (50, 75)
+    assert np.std(large) > 0.03
+    assert np.percentile(np.abs(light - large), 95.0) < 0.1 * np.std(large)
 
 
 def test_an_image_does_not_depend_on_the_number_of_cores(monkeypatch: pytest.MonkeyPatch) -> None:

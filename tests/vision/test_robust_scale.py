@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from craternav_fg.vision.robust_scale import median, robust_sigma
+from craternav_fg.vision.robust_scale import MAD_TO_SIGMA, median, robust_sigma
 
 ANY = st.floats(-1e6, 1e6, width=32) | st.just(float("nan"))
 
@@ -21,3 +21,12 @@ def test_the_robust_standard_deviation_is_that_of_normal_values_but_for_outliers
     values[:200] = 1e6
     assert robust_sigma(values) == pytest.approx(3.0, rel=0.03)
     assert robust_sigma(values.reshape(100, -1)) == robust_sigma(values)
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 4095, 4096, 4097, 5000])
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_the_robust_standard_deviation_is_the_median_absolute_deviation(count, kind):
+    values = np.random.default_rng(count).normal(size=count).astype(kind)
+    assert robust_sigma(values) == MAD_TO_SIGMA * float(np.median(np.abs(values).astype(np.float64)))
+    values[count // 2] = np.nan
+    assert np.isnan(robust_sigma(values))
