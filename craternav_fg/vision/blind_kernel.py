@@ -103,7 +103,7 @@ def ring_brightness(image: ImageArray, chart_px: FloatArray) -> float:
     return ordered(values[:count])[count // 2] if count > 0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def traced_rim(
     image: ImageArray, start_px: FloatArray, sun: FloatArray, given: Tracing
 ) -> tuple[bool, FloatArray, FloatArray, FloatArray, int, FloatArray, float, float, int, float]:

@@ -24,6 +24,7 @@ from craternav_fg.vision.candidates import (
 )
 from craternav_fg.vision.ellipse_fit import FitOptions, RimFit
 from craternav_fg.vision.image_sampling import noise_level
+from craternav_fg.vision.threads import in_threads
 from factors.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 # Fewer candidates may agree on a direction towards the sun by chance.
@@ -336,15 +337,16 @@ def fit_candidates(
     if len(candidates) == 0:
         return []
     fitter = blind_fitter(pixels, candidates, noise, options)
-    out: list[FittedCandidate | None] = []
-    for k, start in enumerate(circle_charts(candidates)):
-        rim = fitter.fit(start, float(sun_angles_rad[k]))
+    starts = circle_charts(candidates)
+
+    def fit(k: int) -> FittedCandidate | None:
+        rim = fitter.fit(starts[k], float(sun_angles_rad[k]))
         if rim is None:
-            out.append(None)
-            continue
+            return None
         evidence = np.array([candidates.correlation[k], *rim.evidence])
-        out.append(FittedCandidate(rim.fit, evidence, float(sun_angles_rad[k])))
-    return out
+        return FittedCandidate(rim.fit, evidence, float(sun_angles_rad[k]))
+
+    return in_threads(fit, range(len(candidates)))
 
 
 def blind_fitter(

@@ -221,7 +221,7 @@ def _outline_variance(rows: FloatArray, m: int, r: FloatArray, base: FloatArray,
     return min(max(power - own, 0.0) / left, _MAX_OUTLINE_RADII**2)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def fit(
     points: FloatArray, ratio: FloatArray, motion: FloatArray, brightness_sigma: float, slope_sigma: float,
     sun_px: FloatArray, start: FloatArray, min_scatter: float, max_gap_rad: float, outline_share: float,

@@ -15,6 +15,7 @@ from craternav_fg.ellipse import axes_covariance, half_sides, mean_radius
 from craternav_fg.vision.blind_fit import BlindFit, BlindFitter, Judge
 from craternav_fg.vision.candidates import Candidates
 from craternav_fg.vision.detect import SUN_REACH_SHARE, circle_charts
+from craternav_fg.vision.threads import in_threads
 from factors.arrays import BoolArray, FloatArray
 
 # Standard deviations of centre and semi-axes of a circle whose rim cannot be traced, in radii. Fitted on
@@ -81,20 +82,23 @@ def measured(
     covariance = coarse_covariances(charts)
     traced = np.zeros(len(charts), dtype=np.bool_)
     beyond = beyond_border(charts, fitter.pixels.shape)
-    for k, (chart, found) in enumerate(zip(charts.copy(), first, strict=True)):
-        best, most = None, LEAST_LOG_ODDS
-        grown = _grown(chart, beyond[k])
-        for start in [None, chart, *grown]:
+
+    def best_of(k: int) -> BlindFit | None:
+        best, most, chart = None, LEAST_LOG_ODDS, charts[k]
+        for start in [None, chart, *_grown(chart, beyond[k])]:
             if most > _SURE_LOG_ODDS:
                 break
-            rim = found if start is None else fitter.fit(start, float(sun_angles_rad[k]), _above(most))
+            rim = first[k] if start is None else fitter.fit(start, float(sun_angles_rad[k]), _above(most))
             if rim is not None and (log_odds := rim_log_odds(rim, chart, covariance[k])) > most:
                 best, most = rim, log_odds
+        return best
+
+    for k, best in enumerate(in_threads(best_of, range(len(charts)))):
         if best is not None:
             charts[k], covariance[k] = best.fit.chart_px, best.fit.covariance
             traced[k] = True
-        elif grown:
-            covariance[k] = _coarse_covariance(chart, CUT_SIGMA_RADII)
+        elif _grown(charts[k], beyond[k]):
+            covariance[k] = _coarse_covariance(charts[k], CUT_SIGMA_RADII)
     return MeasuredRims(charts, covariance, traced)
 
 
@@ -125,10 +129,8 @@ def first_fits(
     """
     proposed = circle_charts(circles)
     covariance = coarse_covariances(proposed)
-    fits = [
-        fitter.fit(start, angle, _above(least_log_odds))
-        for start, angle in zip(circle_charts(starts), sun_angles_rad, strict=True)
-    ]
+    at = circle_charts(starts)
+    fits = in_threads(lambda k: fitter.fit(at[k], sun_angles_rad[k], _above(least_log_odds)), range(len(at)))
     likely = [
         rim.fit.chart_px
         for k, rim in enumerate(fits)
