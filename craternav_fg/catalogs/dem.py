@@ -25,7 +25,6 @@ from craternav_fg.catalogs.map_projection import (
 )
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.files import SizeLimit, check_input
-from craternav_fg.frames import latitude_longitude
 from factors.arrays import BoolArray, FloatArray
 from factors.kernels.compiled import njit
 
@@ -75,7 +74,7 @@ class Dem:
     @property
     def step_rad(self) -> float:
         """Distance of neighbouring rows in the raster's middle, as an angle."""
-        return abs(float(self.frame[3] / stretch(self.frame, self.middle[None])[0]))
+        return abs(float(self.frame[3] / stretch(self.middle, self.frame)))
 
     @property
     def middle(self) -> FloatArray:
@@ -129,27 +128,16 @@ class Dem:
             Distance from the nearest border or gap, rad along rows and columns; negative outside. A border
             at a pole does not count, and where there is none, the distance is infinite.
         """
-        rows, columns = self.coefficients.shape
-        places = np.empty((len(directions), 2))
-        positions(np.ascontiguousarray(directions), self.frame, columns, places)
-        column, row = places.T
-        scale = 1.0 / stretch(self.frame, directions)
-        step = abs(self.frame[3]) * scale
-        inside = np.full(len(row), np.inf)
-        for ends, steps in zip(self._rows_end(), (row, rows - 1 - row), strict=True):
-            if ends:
-                inside = np.minimum(inside, steps * step)
+        directions = np.ascontiguousarray(directions)
+        shape = self.coefficients.shape
+        near = np.empty(0)
         if self.gap_steps is not None:
-            # Beyond the raster, the border decides.
-            near = scipy.ndimage.map_coordinates(self.gap_steps, [row, column], order=1, mode="nearest")
-            inside = np.minimum(inside, (near - _GAP_STEPS) * step)
-        if self.frame[4] > 0.0:
-            return np.asarray(inside)
-        # Meridians converge on a map of longitude and latitude.
-        along = np.cos(latitude_longitude(directions)[0]) if self.frame[5] == 0.0 else scale
-        return np.asarray(
-            np.minimum(inside, np.minimum(column, columns - 1 - column) * abs(self.frame[2]) * along)
-        )
+            places = np.empty((len(directions), 2))
+            positions(directions, self.frame, shape[1], places)
+            near = scipy.ndimage.map_coordinates(self.gap_steps, places.T[::-1], order=1, mode="nearest")
+        inside = np.empty(len(directions))
+        _inside(directions, shape, self.frame, self._rows_end(), near - _GAP_STEPS, inside)
+        return inside
 
     def _rows_end(self) -> tuple[bool, bool]:
         """Whether there is ground beyond the first row and beyond the last: there is none beyond a pole."""
@@ -334,10 +322,41 @@ def _within(i: int, n: int, around: bool) -> int:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _inside(
+    directions: FloatArray,
+    shape: tuple[int, int],
+    frame: FloatArray,
+    ends: tuple[bool, bool],
+    near: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Write `Dem.inside_rad`: `ends` as `_rows_end`, distances of gaps in steps if there are any."""
+    rows, columns = shape
+    for k in range(directions.shape[0]):
+        column, row = position(directions[k], frame, columns)
+        scale = 1.0 / stretch(directions[k], frame)
+        step = abs(frame[3]) * scale
+        inside = np.inf
+        if ends[0]:
+            inside = min(inside, row * step)
+        if ends[1]:
+            inside = min(inside, (rows - 1 - row) * step)
+        # Beyond the raster, the border decides.
+        if len(near):
+            inside = min(inside, near[k] * step)
+        if not frame[4] > 0.0:
+            if frame[5] == 0.0:
+                # Meridians converge on a map of longitude and latitude.
+                scale = np.hypot(directions[k, 0], directions[k, 1])
+            inside = min(inside, min(column, columns - 1 - column) * abs(frame[2]) * scale)
+        out[k] = inside
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sample(directions: FloatArray, coefficients: Float32Array, frame: FloatArray, out: FloatArray) -> None:
     rows, columns = coefficients.shape
     around = frame[4] > 0.0
-    w = np.empty(4)
+    w, weight = np.empty(4), np.empty(4)
     for k in range(directions.shape[0]):
         u, v = position(directions[k], frame, columns)
         u = min(max(u, -1.0), float(columns)) if not around else u
@@ -348,17 +367,15 @@ def _sample(directions: FloatArray, coefficients: Float32Array, frame: FloatArra
         w[1] = (3.0 * f**3 - 6.0 * f * f + 4.0) / 6.0
         w[3] = f**3 / 6.0
         w[2] = 1.0 - w[0] - w[1] - w[3]
+        weight[0] = (1.0 - g) ** 3 / 6.0
+        weight[1] = (3.0 * g**3 - 6.0 * g * g + 4.0) / 6.0
+        weight[3] = g**3 / 6.0
+        weight[2] = 1.0 - weight[0] - weight[1] - weight[3]
+        border = i < 1 or j < 1 or i > columns - 3 or j > rows - 3
         total = 0.0
         for b in range(4):
-            if b == 0:
-                weight = (1.0 - g) ** 3 / 6.0
-            elif b == 1:
-                weight = (3.0 * g**3 - 6.0 * g * g + 4.0) / 6.0
-            elif b == 2:
-                weight = (3.0 * (1.0 - g) ** 3 - 6.0 * (1.0 - g) ** 2 + 4.0) / 6.0
-            else:
-                weight = g**3 / 6.0
-            row = _within(j - 1 + b, rows, False)
+            row = _within(j - 1 + b, rows, False) if border else j - 1 + b
             for a in range(4):
-                total += weight * w[a] * coefficients[row, _within(i - 1 + a, columns, around)]
+                column = _within(i - 1 + a, columns, around) if border else i - 1 + a
+                total += weight[b] * w[a] * coefficients[row, column]
         out[k] = total

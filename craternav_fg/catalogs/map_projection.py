@@ -99,23 +99,24 @@ def frame_of(
     return np.array([*places, dx, dy, float(around), plane.pole, *origin, 2.0 * plane.scale])
 
 
-def stretch(frame: FloatArray, directions: FloatArray) -> FloatArray:
+@njit(cache=True, nogil=True, error_model="numpy")
+def stretch(direction: FloatArray, frame: FloatArray) -> float:
     """Compute lengths in the plane over those on the body, across the rows.
 
     Parameters
     ----------
+    direction : ndarray, shape (3,)
+        Unit vector in g.
     frame : ndarray, shape (9,)
         Angles in rad.
-    directions : ndarray, shape (n, 3)
-        Unit vectors in g.
 
     Returns
     -------
-    ndarray, shape (n,)
+    float
     """
     if frame[5] == 0.0:
-        return np.ones(len(directions))
-    return np.asarray(frame[8] / np.maximum(1.0 + frame[5] * directions[:, 2], _OPPOSITE))
+        return 1.0
+    return frame[8] / max(1.0 + frame[5] * direction[2], _OPPOSITE)
 
 
 def directions_of(frame: FloatArray, columns: FloatArray, rows: FloatArray) -> FloatArray:
@@ -172,7 +173,7 @@ def position(direction: FloatArray, frame: FloatArray, columns: int) -> tuple[fl
         off = np.arctan2(y, x) - middle
         off -= 2.0 * np.pi * np.rint(off / (2.0 * np.pi))
         return (middle + off - frame[0]) / frame[2], v
-    scale = frame[8] / max(1.0 + frame[5] * z, _OPPOSITE)
+    scale = stretch(direction, frame)
     east, toward = y * frame[6] - x * frame[7], x * frame[6] + y * frame[7]
     return (scale * east - frame[0]) / frame[2], (-frame[5] * scale * toward - frame[1]) / frame[3]
 

@@ -49,16 +49,19 @@ class NestedDem:
         ndarray, shape (n,)
             Heights above the sphere, m; beyond all models those of the last one's border, mirrored.
         """
-        heights = self.models[-1].heights_m(directions)
-        for finer, coarser in zip(self.models[-2::-1], self.models[:0:-1], strict=True):
+        heights, left = np.zeros(len(directions)), np.ones(len(directions))
+        # Places that finer models do not decide alone.
+        rows = np.arange(len(directions))
+        for finer, coarser in pairwise(self.models):
             height_rad = len(finer.coefficients) * finer.step_rad
             width_rad = min(_BLEND_STEPS * coarser.step_rad, _BLEND_SHARE * height_rad)
-            share = finer.inside_rad(directions) / width_rad
-            rows = np.flatnonzero(share > 0.0)
-            if len(rows):
-                weight = np.clip(share[rows], 0.0, 1.0)
-                weight = weight * weight * (3.0 - 2.0 * weight)
-                heights[rows] += weight * (finer.heights_m(directions[rows]) - heights[rows])
+            weight = np.clip(finer.inside_rad(directions[rows]) / width_rad, 0.0, 1.0)
+            weight *= weight * (3.0 - 2.0 * weight)
+            inside = rows[weight > 0.0]
+            heights[inside] += left[inside] * weight[weight > 0.0] * finer.heights_m(directions[inside])
+            left[rows] *= 1.0 - weight
+            rows = rows[weight < 1.0]
+        heights[rows] += left[rows] * self.models[-1].heights_m(directions[rows])
         return heights
 
     def covers(self, directions: FloatArray) -> BoolArray:

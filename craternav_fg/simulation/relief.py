@@ -23,6 +23,9 @@ Float32Array = npt.NDArray[np.float32]
 SLOPE_OF_UNIT_NOISE = float(np.sqrt(2.0 / 3.0 * 151.0 / 315.0))
 # Wavelength at which `ReliefOptions.slope` holds, m.
 _REFERENCE_M = 100.0
+# Longest spacing at which an elevation model is sampled, as a share of its own; samples that the spline needs
+# before the first point and behind the last one; number of samples that are computed at once.
+_SAMPLE_SHARE, _SAMPLES_BEFORE, _SAMPLES_BEHIND, _SAMPLES_AT_ONCE = 0.4, 3, 4, 1 << 15
 # Shortest octave: 2 to the power of this, m; nothing sees shorter ones.
 _SHORTEST_OCTAVE = -15
 
@@ -92,6 +95,14 @@ def _evaluate_half(c: Float32Array) -> Float32Array:
     return out
 
 
+def _control_points(values: Float32Array) -> Float32Array:
+    """Control points along axis 0 of the cubic B-spline near values; row 0 lies at row 1 of the input.
+
+    It passes through cubics exactly, and misses other curves by the fourth power of the spacing.
+    """
+    return (4.0 / 3.0) * values[1:-1] - (1.0 / 6.0) * (values[:-2] + values[2:])
+
+
 def _spline_weights(f: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Weights and their derivatives (4, n) of the four control points around a fraction f (n,)."""
     g = 1.0 - f
@@ -123,6 +134,8 @@ class Relief:
         self.options = options
         self.gRs = frames.east_north_up(*frames.latitude_longitude(np.asarray(site_g, dtype=np.float64)))
         self._coarsest = int(np.floor(np.log2(options.coarsest_m)))
+        # From there on heights need few digits.
+        self._site_m = float(self.base_m(np.zeros((1, 2)))[0])
 
     def plane(self, gP: FloatArray) -> FloatArray:
         """Project points to the gnomonic plane.
@@ -235,11 +248,39 @@ class Relief:
         part = Window(0, cells, 0, cells) if window is None else window
         heights = self._roughness(exponent, first, cells, fade, part)
         if self.dem is not None:
-            x = 2.0**exponent * (first[0] + np.arange(part.left, part.right))
-            y = 2.0**exponent * (first[1] + np.arange(part.low, part.high))
-            for row, place in zip(heights, y, strict=True):
-                row += self.base_m(np.stack([x, np.full(len(x), place)], axis=-1)).astype(np.float32)
+            heights += self._base(exponent, first, part)
         return heights
+
+    def _base(self, exponent: int, first: tuple[int, int], window: Window) -> Float32Array:
+        """Heights of the elevation model on a window of a grid: on fine ones a spline of coarser samples."""
+        assert self.dem is not None
+        longest = int(np.floor(np.log2(_SAMPLE_SHARE * self.dem.step_rad * self.body.radius_m)))
+        halvings = max(longest - exponent, 0)
+        begin = np.add(first, (window.left, window.low))
+        size = np.array((window.right - window.left, window.high - window.low))
+        if halvings == 0:
+            return self._samples(exponent, begin, size) + np.float32(self._site_m)
+        low = np.floor_divide(begin, 2**halvings) - _SAMPLES_BEFORE
+        high = np.floor_divide(begin + size, 2**halvings) + _SAMPLES_BEHIND
+        values = self._samples(exponent + halvings, low, high + 1 - low)
+        values, low = _control_points(_control_points(values).T).T, low + 1
+        for left in range(halvings, 0, -1):
+            halve = _refine if left > 1 else _evaluate_half
+            values, low = halve(halve(values).T).T, 2 * (low + 1)
+        x, y = begin - low
+        return values[y : y + size[1], x : x + size[0]] + np.float32(self._site_m)
+
+    def _samples(self, exponent: int, first: IntArray, size: IntArray) -> Float32Array:
+        """Heights of the elevation model over that at the site: at 2**exponent (first + index) m."""
+        out = np.empty((size[1], size[0]), np.float32)
+        x = 2.0**exponent * (first[0] + np.arange(size[0]))
+        rows = max(_SAMPLES_AT_ONCE // len(x), 1)
+        for low in range(0, len(out), rows):
+            part = out[low : low + rows]
+            y = 2.0**exponent * (first[1] + low + np.arange(len(part)))
+            xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+            part[:] = (self.base_m(xy) - self._site_m).reshape(part.shape)
+        return out
 
     def _roughness(
         self, exponent: int, first: tuple[int, int], cells: int, fade: int, window: Window
