@@ -218,7 +218,8 @@ class Relief:
         """
         if self.dem is None:
             return np.zeros(len(xy))
-        s = np.concatenate([xy, np.full((len(xy), 1), self.body.radius_m)], axis=1)
+        s = np.concatenate([xy / self.body.radius_m, np.ones((len(xy), 1))], axis=1)
+        s /= np.sqrt(np.sum(s * s, axis=1, keepdims=True))
         return self.dem.heights_m(s @ self.gRs.T)
 
     def grid(

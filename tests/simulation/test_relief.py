@@ -49,6 +49,30 @@ def test_grids_have_the_heights_of_the_elevation_model(relief, exponent):
     assert np.std(slopes[0] - slopes[1]) < 0.003 * np.std(slopes[1]) + 2e-4
 
 
+def test_models_give_way_to_each_other_without_a_cliff(tmp_path):
+    # The fine one is 300 m higher than the one around it.
+    size, coarse = 600, 16.0 * STEP_DEG
+    half_deg = 0.5 * size * STEP_DEG
+    fine = write(
+        tmp_path / "fine.tif", np.full((size, size), 300.0, np.float32),
+        (30.0 - half_deg, 20.0 + half_deg, STEP_DEG, STEP_DEG),
+    )  # fmt: skip
+    around = write(
+        tmp_path / "coarse.tif", np.zeros((120, 120), np.float32),
+        (30.0 - 60 * coarse, 20.0 + 60 * coarse, coarse, coarse),
+    )  # fmt: skip
+    dem = read_nested_dem([fine, around])
+    relief = Relief(scene.MOON, frames.up(*SITE), ReliefOptions(slope=0.0), dem)
+    for across in ([1.0, 0.0], [0.0, -1.0], [-0.6, 0.8]):
+        xy = np.linspace(0.0, 80e3, 4000)[:, None] * np.array(across)
+        heights = relief.base_m(xy)
+        assert heights[[0, -1]] == pytest.approx([300.0, 0.0], abs=0.1)
+        assert np.abs(np.diff(heights)).max() < 4.0
+        ground = np.concatenate([xy, np.full((len(xy), 1), scene.MOON.radius_m)], axis=1) @ relief.gRs.T
+        ground /= np.linalg.norm(ground, axis=1, keepdims=True)
+        np.testing.assert_allclose(heights, dem.heights_m(ground), atol=1e-6)
+
+
 def test_a_grid_is_the_same_in_parts(relief):
     whole = relief.grid(2, (-500, 300), 512, 32)
     for window in (Window(0, 1, 0, 512), Window(13, 300, 7, 9), Window(200, 512, 511, 512)):
