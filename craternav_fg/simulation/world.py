@@ -154,7 +154,8 @@ def make_world(scenario: Scenario, rng: np.random.Generator, *, trial: bool) -> 
     track = descent.evaluate(np.multiply(stamps, 1e-9)).gP
     relief = _relief(scenario, body, rng)
     if relief is not None and relief.dem is not None:
-        clear_m = float(np.min(body.altitude_m(track) - relief.dem.heights_m(track)))
+        up = track / np.linalg.norm(track, axis=1, keepdims=True)
+        clear_m = float(np.min(body.altitude_m(track) - relief.dem.heights_m(up)))
         if clear_m <= 0.0:
             problem = f"the descent leads {-clear_m:.0f} m below the elevation model"
             raise CraternavError(f"scenario: [trajectory]: {problem}")
