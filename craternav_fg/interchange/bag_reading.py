@@ -29,6 +29,8 @@ _COLOUR = {
     "rgba8": (4, cv2.COLOR_RGBA2GRAY),
     "bgra8": (4, cv2.COLOR_BGRA2GRAY),
 }
+# How a bag of ROS 1 begins.
+_ROSBAG1 = b"#ROSBAG V2.0"
 # Of the squared length of a quaternion; that of tf2, which ignores transforms beyond it.
 _UNIT_TOLERANCE = 0.01
 
@@ -139,6 +141,11 @@ def open_bag(path: Path) -> Iterator[Bag]:
     for one in entries(path) if path.is_dir() else [path]:
         # rosbags reads its description whole.
         check_input(one, SizeLimit.SETTINGS if one.suffix == ".yaml" else SizeLimit.BAG)
+    # rosbags looks for the end of a first line, however far it is.
+    if path.suffix == ".bag" and path.is_file():
+        with path.open("rb") as stream:
+            if stream.read(len(_ROSBAG1)) != _ROSBAG1:
+                raise InputError(path, "expected a bag of ROS 1, found a file that does not begin as one")
     with _reading(path):
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()

@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -242,6 +243,13 @@ def test_what_a_bag_lacks_is_named(tmp_path: Path) -> None:
         import_bag(tmp_path / "flight", tmp_path / "again", late)
     with pytest.raises(InputError, match="bag is missing"):
         import_bag(tmp_path / "none.bag", tmp_path / "again", options(data))
+    # Half a gigabyte of zeros has no end of a first line: it took 20 s to say so.
+    with (tmp_path / "zeros.bag").open("wb") as stream:
+        stream.truncate(1 << 29)
+    began = time.process_time()
+    with pytest.raises(InputError, match=r"zeros\.bag: expected a bag of ROS 1, found a file that"):
+        import_bag(tmp_path / "zeros.bag", tmp_path / "again", options(data))
+    assert time.process_time() - began < 2.0
 
 
 def with_camera_infos(monkeypatch: pytest.MonkeyPatch, *infos: str, frame_id: str = "") -> None:
