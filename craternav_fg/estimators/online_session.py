@@ -112,7 +112,9 @@ class OnlineSession:
         self._newest: FilterState | None = None
         self._ended = ""
         self._log = StateLog(len(self._bank.sigmas))
+        # With slots of this one of the solver's trees.
         self._intervals: list[ImuInterval] = []
+        self._tree_of_slots = self._solver.trees
         self._corrected = np.zeros(3)
 
     @property
@@ -347,12 +349,9 @@ class OnlineSession:
         predicted = values.atPose3(X(last)).translation()
         self._add(graph, values, stamp_ns)
         try:
-            pose, trees = self._settle(predicted, last, stamp_ns), self._solver.trees
+            pose = self._settle(predicted, last, stamp_ns)
             ahead = graph.intervals[-1] if graph.intervals else None
             state = newest_state(self._solver, self._descent, self._bank, last, stamp_ns, pose, ahead)
-            if self._solver.trees != trees:
-                # A new tree has new slots.
-                self._intervals.clear()
             self._log.append(stamp_ns, state)
             self._newest, self._last, self._stamp_ns = state, last, stamp_ns
             self._frame_states.append(last)
@@ -390,14 +389,11 @@ class OnlineSession:
     def _add(self, graph: FactorGraph, values: gtsam.Values, stamp_ns: int, drop: Sequence[int] = ()) -> None:
         """Update the solver; the graph begins with the factors of its intervals."""
         time_s = 1e-9 * (stamp_ns - self._descent.initial.stamp_ns)
-        trees = self._solver.trees
         slots: list[int] = []
         try:
             slots = self._solver.update(graph, values, time_s, drop)
         finally:
-            # A new tree has new slots: the IMU factors in it keep their gravity.
-            if self._solver.trees != trees:
-                self._intervals.clear()
+            self._forget_void_slots()
             self._intervals += [
                 ImuInterval(one.index, one.midpoint, one.pim, one.params, slot)
                 for one, slot in zip(graph.intervals, slots, strict=False)
@@ -406,8 +402,15 @@ class OnlineSession:
             while self._intervals and not self._solver.tree.valueExists(X(self._intervals[0].index)):
                 del self._intervals[0]
 
+    def _forget_void_slots(self) -> None:
+        """Forget the intervals of a tree that has been replaced: their factors keep their gravity."""
+        if self._tree_of_slots != self._solver.trees:
+            self._intervals.clear()
+            self._tree_of_slots = self._solver.trees
+
     def _move_gravity(self, stamp_ns: int) -> None:
         """Evaluate the gravity of IMU factors where their states now are, and linearise them again."""
+        self._forget_void_slots()
         tree = self._solver.tree
         factors = tree.getFactorsUnsafe()
         graph = FactorGraph()

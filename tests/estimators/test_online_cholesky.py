@@ -161,6 +161,38 @@ def test_factors_are_dropped_once_where_their_replacement_is_refused(
     assert len(intervals) == session.frame_state_indices[-1]
 
 
+@pytest.mark.parametrize("error", [REFUSAL, RuntimeError("a factor raised")])
+@pytest.mark.parametrize("at", [0, 20])
+def test_no_slot_of_a_tree_is_used_in_the_one_that_follows_it(
+    at: int, error: RuntimeError, problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where that is built between a frame's update and the change of its gravity."""
+    monkeypatch.setattr(online_session, "MIDPOINT_TOLERANCE_M", 0.01)
+    monkeypatch.setattr(online_session, "GRAVITY_SHIFT_SIGMAS", 0.0)
+    monkeypatch.setattr(online_session, "SETTLED_POSITION_M", 0.0)
+    monkeypatch.setattr(online_session, "SETTLED_ALTITUDE_SHARE", 0.0)
+    expected = run(problem)
+    session = OnlineSession(problem)
+    session.begin(problem.frames[0], problem.start)
+    apply, repeated = session._solver._apply, itertools.count()
+
+    def failing(
+        graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
+    ) -> None:
+        apply(graph, values, time_s, drop)
+        # A solution that is repeated has no new factors.
+        if not graph.size() and next(repeated) == at:
+            raise error
+
+    session._solver._apply = failing  # type: ignore[method-assign]
+    for frame in problem.frames[1:]:
+        session.update(frame)
+    assert next(repeated) > at
+    factors = session._solver.tree.getFactorsUnsafe()
+    assert all(X(one.index) in factors.at(one.slot).keys() for one in session._intervals)  # noqa: SIM118
+    assert_same_estimates(session.filtered(), expected.filtered(), 1e-3)
+
+
 @pytest.mark.parametrize("why", ["refused", "digits"])
 def test_goes_on_by_qr_where_covariances_fail(
     why: str, problem: Problem, monkeypatch: pytest.MonkeyPatch
