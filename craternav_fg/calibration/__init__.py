@@ -66,7 +66,7 @@ rim_tilts            CorrelatedErrorOptions.map_tilt_rad, rad      0.04    0.042
 
 `crest_heights` and `rim_tilts` are measured on real ground: `python -m craternav_fg.calibration rim_tilts
 FOLDER` with the folder of the public files. So are `common_shift`, which gives
-`estimators.batch_options.CRATER_FREEDOM` (4) and the scenarios' `common_place_sigma_m`, and `posed_images`,
+`catalogs.map_errors.CRATER_FREEDOM` (4) and the scenarios' `common_place_sigma_m`, and `posed_images`,
 which gives `mapping.posed_images.IMAGES_PER_VIEW` (3), both without standard errors, `catalogue_errors`,
 which gives the errors of a published map as an elevation model shows them, and `pull_of_prediction`, which
 shows what `GuidedOptions.recentrings` is for.

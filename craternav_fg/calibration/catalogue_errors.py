@@ -21,8 +21,8 @@ from craternav_fg.catalogs.bodies import named_body
 from craternav_fg.catalogs.dem import Dem, read_dem
 from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.catalogs.heights import along_rims, chord_depths_m, rims_within
+from craternav_fg.catalogs.map_errors import CRATER_FREEDOM
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.estimators.batch_options import CRATER_FREEDOM
 from craternav_fg.mapping.refine import refine_on_dem
 from factors.arrays import FloatArray
 

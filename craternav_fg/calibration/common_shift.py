@@ -3,7 +3,7 @@
 `python -m craternav_fg.calibration common_shift FOLDER` renders descents over the crops of the elevation
 model in FOLDER and measures their rims. A scenario's `common_place_sigma_m` is the root mean square, per
 axis, of the shifts of the other two crops. What craters deviate from the shift of their crop by has heavier
-tails than a normal distribution: `estimators.batch_options.CRATER_FREEDOM`.
+tails than a normal distribution: `catalogs.map_errors.CRATER_FREEDOM`.
 """
 
 import tempfile

@@ -11,6 +11,10 @@ import numpy as np
 
 from factors.arrays import FloatArray, IntArray
 
+# Degrees of freedom of Student's t distribution of rims on real ground against a published map: fitted by
+# `craternav_fg.calibration.common_shift`.
+CRATER_FREEDOM = 4.0
+
 
 @dataclass(frozen=True)
 class MapErrors:

@@ -4,12 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from craternav_fg.catalogs.map_errors import CRATER_FREEDOM
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.graph import GraphOptions
-
-# Fitted to rims on real ground against a published map by `craternav_fg.calibration.common_shift`.
-CRATER_FREEDOM = 4.0
 
 
 @dataclass(frozen=True)

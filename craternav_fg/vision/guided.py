@@ -20,12 +20,14 @@ from craternav_fg.vision.arcs import across_sigma, judge
 from craternav_fg.vision.error_model.common_growth import common_growth, without_growth
 from craternav_fg.vision.error_model.correlated import (
     arc_sigma_px,
+    in_plane_slopes,
     map_covariance,
     radii_px,
     shared_of_arcs,
     split,
 )
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
+from craternav_fg.vision.error_model.shape_scatter import shape_variance_factors
 from craternav_fg.vision.grey import on_8_bit_scale
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.pose_correction import corrected_pose
@@ -219,6 +221,9 @@ class GuidedFrontEnd:
         )  # fmt: skip
         covariance, *kept = parts
         rims = RimSet(rows, charts[keep], covariance, fitted.quality.take(keep), *kept)
+        if self.catalog.errors is not None:
+            slopes = in_plane_slopes(rows, pose, self.camera, self.catalog)
+            rims = rims.scaled(shape_variance_factors(residual[keep], covariance, slopes))
         return _Result(rims, pose, spread, expected)
 
     def _arcs(self, frame: _Frame, fitter: RimFitter, result: _Result) -> ArcSet:

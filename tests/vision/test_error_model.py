@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from craternav_fg.catalogs.map_errors import MapErrors
-from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, split
+from craternav_fg.catalogs.map_errors import CRATER_FREEDOM, MapErrors
+from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, in_plane_slopes, split
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
 from craternav_fg.vision.error_model.outline import unseen_deviation
+from craternav_fg.vision.error_model.shape_scatter import shape_variance_factors
 from craternav_fg.vision.error_model.systematic import RimErrors
 from factors.kernels.conic import project_rims
 from tests.vision import scene
@@ -200,3 +201,43 @@ def test_scatter_of_a_frame_adds_white_variance_for_estimators_alone(view):
     added = options.excess_white_share * 0.5 * errors.systematic
     np.testing.assert_allclose(told[1.5].fused_white - white, added, rtol=1e-9, atol=1e-18)
     np.testing.assert_array_equal(told[30.0].fused_white, told[3.0].fused_white)
+
+
+def test_only_the_shape_tells_that_a_rim_errs_by_more_than_it_states(view):
+    """Not what a wrong pose does: it moves and enlarges rims."""
+    gTb, _, camera, catalog = view
+    rows = np.arange(len(catalog))
+    slopes = in_plane_slopes(rows, gTb, camera, catalog)
+    # Shifts, growths and the shear of 0.1 radii; rims have it in no preferred direction.
+    on_ground = 0.01 * np.diag([1.0, 1.0, 1.0, 0.5, 1.0])
+    covariance = slopes @ on_ground @ np.swapaxes(slopes, 1, 2)
+    moved = np.tile([2.0, -1.0, 0.5, 0.0, 0.5], (len(rows), 1))
+    unmoved = shape_variance_factors(np.einsum("nij,nj->ni", slopes, moved), covariance, slopes)
+    np.testing.assert_allclose(unmoved, 1.0)
+    # The growths differ by 0.3, their variance is 0.02; the shear is 0.2, its variance 0.005.
+    for stretch, distance2 in (([0.0, 0.0, 0.15, 0.0, -0.15], 4.5), ([0.0, 0.0, 0.0, 0.2, 0.0], 8.0)):
+        errors = np.einsum("nij,nj->ni", slopes, moved + stretch)
+        expected = (CRATER_FREEDOM + distance2) / (CRATER_FREEDOM + 2.0)
+        np.testing.assert_allclose(shape_variance_factors(errors, covariance, slopes), expected)
+
+
+def test_errors_with_a_common_scale_are_told_from_the_shape(view):
+    """Places of rims drawn from Student's t distribution are likelier with the variances of their shapes."""
+    gTb, _, camera, catalog = view
+    rng = np.random.default_rng(7)
+    rows = np.repeat(np.arange(len(catalog)), 400)
+    slopes = in_plane_slopes(rows, gTb, camera, catalog)
+    sigma = np.array([0.1, 0.1, 0.1, 0.1 / np.sqrt(2.0), 0.1])
+    covariance = slopes @ np.diag(sigma**2) @ np.swapaxes(slopes, 1, 2)
+    drawn = sigma * rng.normal(size=(len(rows), 5))
+    scale2 = CRATER_FREEDOM / rng.chisquare(CRATER_FREEDOM, len(rows))
+    places2 = np.sum(drawn[:, :2] ** 2, axis=1) * scale2 / sigma[0] ** 2
+    errors = np.einsum("nij,nj->ni", slopes, np.sqrt(scale2)[:, None] * drawn)
+    factors = shape_variance_factors(errors, covariance, slopes)
+    # Worse rims are told, and the mean square of places is nearer to what is stated.
+    large = factors > 2.0
+    assert np.mean(places2[large]) > 2.0 * np.mean(places2[~large])
+    assert abs(np.mean(places2 / factors) / 2.0 - 1.0) < 0.7 * abs(np.mean(places2) / 2.0 - 1.0)
+    # Where nothing has heavy tails little is lost.
+    normal = shape_variance_factors(np.einsum("nij,nj->ni", slopes, drawn), covariance, slopes)
+    assert np.mean(normal) < 1.15

@@ -451,6 +451,27 @@ def test_a_map_that_is_off_is_searched_as_far_as_it_says(view):
     assert np.median(off) < 0.3
 
 
+def test_a_rim_whose_shape_contradicts_a_map_with_errors_counts_less(view):
+    catalog, gTb, sun_g, image = view
+    radius_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
+    every = np.ones(len(catalog))
+    stated = replace(catalog, errors=MapErrors(0.05 * radius_m, 0.04 * every, 0.0 * every))
+    odd = visible(catalog, gTb)[0]
+    narrow = np.where(np.arange(len(catalog)) == odd, 0.92, 1.0)
+    squeezed = replace(
+        stated, semi_major_m=stated.semi_major_m / narrow, semi_minor_m=stated.semi_minor_m * narrow
+    )
+    right, wrong = (
+        GuidedFrontEnd(scene.camera(), c).measure(image, 0, gTb, scene.covariance(0.5), sun_g).rims
+        for c in (stated, squeezed)
+    )
+    np.testing.assert_array_equal(right.craters, wrong.craters)
+    places = [np.trace(rims.covariance[:, :2, :2], axis1=1, axis2=2) for rims in (right, wrong)]
+    larger = places[1] / places[0]
+    assert larger[right.craters == odd] > 1.5
+    np.testing.assert_allclose(larger[right.craters != odd], 1.0, rtol=0.1)
+
+
 def _centres_px(catalog, gTb, rows):
     return scene.semi_axes_px(scene.true_charts(catalog, gTb, rows))[0]
 

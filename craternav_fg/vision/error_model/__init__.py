@@ -34,31 +34,35 @@ In one image, for all its rims:
    its error does not average out. `RimSet.fused_white` is for the estimators alone: the covariance of a
    rim says what it errs, but rims that scatter more than they claim err alike with their neighbours.
 
+7. Shape. Where the map states errors, `error_model.shape_scatter.shape_variance_factors`, applied by
+   `GuidedFrontEnd`, enlarges the variances of rims whose shape contradicts the map: their places are as
+   wrong.
+
 Over the frames of a descent:
 
-7. Pooling. `error_model.pooling.PooledErrors`, applied by `pipeline.tracking.Tracker`, replaces the
+8. Pooling. `error_model.pooling.PooledErrors`, applied by `pipeline.tracking.Tracker`, replaces the
    covariances of irregular rims by means over the frames that show the same crater: a weighted mean over
    frames would follow those that happen to claim the smallest covariance.
 
 In an estimator:
 
-8. Evaluation at the prediction. `RimSet.expected_at`, applied through
+9. Evaluation at the prediction. `RimSet.expected_at`, applied through
    `estimators.measurement_weighting.with_predicted_covariances`, evaluates the covariance at the rim that the
    pose predicts: taken at the measured one, it gives rims that were measured too large too much weight.
-9. Craters that contradict the others. `estimators.crater_scatter`, applied by the batch smoother, enlarges
+10. Craters that contradict the others. `estimators.crater_scatter`, applied by the batch smoother, enlarges
    the variances of craters whose rims err by more than they state, as in a distribution with heavy tails.
-10. Variables or inflation. `estimators.correlated_errors.RimErrorStates` makes the time-correlated part a
+11. Variables or inflation. `estimators.correlated_errors.RimErrorStates` makes the time-correlated part a
    Gauss-Markov process per crater, the error of the map a constant vector per crater, and the shared part one
    constant vector. Half of the variance of a place on the map changes like the rim's own errors
    (`RimSet.with_changing_place`). Estimators without such variables call `RimSet.inflate_correlated`: these
    parts count as white, with a larger variance.
-11. Factor. `estimators.graph.add_frame` whitens with what is left, `RimSet.fused_white_covariance` or the
+12. Factor. `estimators.graph.add_frame` whitens with what is left, `RimSet.fused_white_covariance` or the
    inflated covariance, in `factors.conic_shape`; its robust loss bounds the influence of wrong matches.
 
 Arcs of rims, of which too little is seen for an ellipse, take the same way with one standard deviation per
 point: `error_model.common_growth` takes from them the growth that the whole rims of the frame show, then
 `vision.arcs.judge` (steps 1 to 5), `error_model.correlated.arc_sigma_px` and `shared_of_arcs` (step 6),
-`ArcSet.inflate_correlated` and `RimErrorStates.enter_arcs` (step 10).
+`ArcSet.inflate_correlated` and `RimErrorStates.enter_arcs` (step 11).
 """
 
 from typing import TYPE_CHECKING
