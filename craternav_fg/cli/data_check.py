@@ -62,6 +62,7 @@ def _summary(data: Dataset) -> dict[str, Any]:
             *input_warnings.heights_in_km(catalog),
             *input_warnings.unknown_sensors(data.ignored),
             *input_warnings.dead_imu(None if data.motion is not None else data.imu),
+            *input_warnings.saturated_imu(None if data.motion is not None else data.imu),
             *input_warnings.empty_logs({one.name: len(one) for one in data.sensors}),
             *input_warnings.colour_images(data.in_colour),
             *input_warnings.repeated_craters(data.repeated_craters),

@@ -9,6 +9,7 @@ import numpy as np
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.bodies import SAME_SPHERE, SPHERES_M, known_name
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.dataset import layout
 from craternav_fg.importing.bodies import known_mu_m3_s2, known_spin_rad_s
 from craternav_fg.imu import ImuLog
 from factors.arrays import FloatArray
@@ -29,6 +30,8 @@ _SAME_MOTION = 0.005
 _LARGE_BODY_M, _MIN_HEIGHTS, _LOW_HEIGHT_M = 1e5, 8, 12.0
 # Rows in a row that may be equal by chance of digits are fewer; of the others, at most this share.
 _MIN_FROZEN_ROWS, _MAX_REPEATED_SHARE = 20, 0.02
+# Rows in a row at the limit of a sensor's range: at least so many, and times as many as of any other value.
+_MIN_SATURATED_ROWS, _SATURATED_OVER_OTHERS = 6, 3
 # No lander carries a sensor farther than this from its body origin.
 _MAX_LEVER_ARM_M = 50.0
 # Lever arms of cameras on landers are of this order: one that was left out shows in smaller errors than that.
@@ -87,6 +90,40 @@ def dead_imu(imu: ImuLog | None) -> list[str]:
         f"imu: from {first_s:.6g} s after its first row on, {end - begin + 1} rows repeat the same values: "
         "has the log stopped there?"
     ]
+
+
+def saturated_imu(imu: ImuLog | None) -> list[str]:
+    """Warn of an IMU that reached the limit of its range: an axis stays at its largest or smallest value.
+
+    Parameters
+    ----------
+    imu : ImuLog or None
+
+    Returns
+    -------
+    list of str
+    """
+    if imu is None:
+        return []
+    found = []
+    sensors = ((layout.GYRO, "rad/s", imu.gyro_rad_s), (layout.ACCELEROMETER, "m/s^2", imu.accelerometer_m_s2))
+    axes = [(name, unit, rows[:, k]) for names, unit, rows in sensors for k, name in enumerate(names)]
+    for name, unit, values in axes:
+        # Runs of equal values.
+        begins = np.concatenate([[0], np.flatnonzero(values[1:] != values[:-1]) + 1])
+        lengths = np.diff(np.append(begins, len(values)))
+        for which, limit in (("largest", values.max()), ("smallest", values.min())):
+            there = values[begins] == limit
+            longest = int(lengths[there].max())
+            # Logs without noise, and coarse ones, repeat other values as well.
+            other = int(lengths[~there].max(initial=1))
+            if longest >= max(_MIN_SATURATED_ROWS, _SATURATED_OVER_OTHERS * other) and not there.all():
+                found.append(
+                    f"imu: {name} is at its {which} value, {limit:.6g} {unit}, in {int(lengths[there].sum())} "
+                    f"rows, {longest} of them in a row: is the sensor saturated? Nothing allows for what it "
+                    "then missed"
+                )
+    return found
 
 
 def empty_logs(samples: Mapping[str, int]) -> list[str]:

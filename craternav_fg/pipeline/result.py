@@ -263,6 +263,7 @@ class Reconstruction:
             *input_warnings.heights_in_km(descent.catalog),
             *input_warnings.unknown_sensors(self.ignored),
             *input_warnings.dead_imu(None if descent.motion is not None else descent.imu),
+            *input_warnings.saturated_imu(None if descent.motion is not None else descent.imu),
             *input_warnings.empty_logs({one.name: len(one) for one in descent.sensors}),
             *input_warnings.colour_images(self.in_colour),
             *input_warnings.repeated_craters(self.repeated_craters),

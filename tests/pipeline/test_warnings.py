@@ -117,6 +117,25 @@ def test_an_imu_that_stopped_is_told() -> None:
     assert input_warnings.dead_imu(ImuLog(log.stamps_ns, steps, steps)) == []
 
 
+@pytest.mark.parametrize("digit", [1e-9, 5e-4])
+def test_a_saturated_imu_is_told(digit: float) -> None:
+    """Also one whose digits are as coarse as half of its noise."""
+    log = imu_log(2000)
+    time_s = 1e-9 * log.stamps_ns
+    pulse = 2.0 * np.exp(-0.5 * ((time_s - 8.0) / 0.5) ** 2)
+    force = log.accelerometer_m_s2 + pulse[:, None] * [1.0, -2.0, 0.1]
+    rounded = dataclasses.replace(log, accelerometer_m_s2=digit * np.round(force / digit))
+    assert input_warnings.saturated_imu(rounded) == input_warnings.saturated_imu(None) == []
+    clipped = dataclasses.replace(log, accelerometer_m_s2=np.clip(rounded.accelerometer_m_s2, -1.0, 2.5))
+    above, below = input_warnings.saturated_imu(clipped)
+    rows = int(np.sum(force[:, 0] >= 2.5))
+    assert f"a_RS_S_x is at its largest value, 2.5 m/s^2, in {rows} rows, {rows} of them in a row" in above
+    assert "a_RS_S_y is at its smallest value, -1 m/s^2" in below
+    # Thrust without noise, on and off, and an axis that measures nothing.
+    steps = np.where((time_s > 5.0) & (time_s < 9.0), 2.5, 0.0)[:, None] * [1.0, 1.0, 0.0]
+    assert input_warnings.saturated_imu(dataclasses.replace(log, accelerometer_m_s2=steps)) == []
+
+
 def test_craters_that_the_catalogue_has_twice_are_told() -> None:
     assert input_warnings.repeated_craters(()) == []
     (text,) = input_warnings.repeated_craters(("C7b", "C9b"))
