@@ -106,9 +106,10 @@ def saturated_imu(imu: ImuLog | None) -> list[str]:
     if imu is None:
         return []
     found = []
-    sensors = ((layout.GYRO, "rad/s", imu.gyro_rad_s), (layout.ACCELEROMETER, "m/s^2", imu.accelerometer_m_s2))
-    axes = [(name, unit, rows[:, k]) for names, unit, rows in sensors for k, name in enumerate(names)]
-    for name, unit, values in axes:
+    names = (*layout.GYRO, *layout.ACCELEROMETER)
+    units = (*3 * ["rad/s"], *3 * ["m/s^2"])
+    columns = np.concatenate([imu.gyro_rad_s, imu.accelerometer_m_s2], axis=1).T
+    for name, unit, values in zip(names, units, columns, strict=True):
         # Runs of equal values.
         begins = np.concatenate([[0], np.flatnonzero(values[1:] != values[:-1]) + 1])
         lengths = np.diff(np.append(begins, len(values)))
@@ -118,10 +119,10 @@ def saturated_imu(imu: ImuLog | None) -> list[str]:
             # Logs without noise, and coarse ones, repeat other values as well.
             other = int(lengths[~there].max(initial=1))
             if longest >= max(_MIN_SATURATED_ROWS, _SATURATED_OVER_OTHERS * other) and not there.all():
+                rows = int(lengths[there].sum())
                 found.append(
-                    f"imu: {name} is at its {which} value, {limit:.6g} {unit}, in {int(lengths[there].sum())} "
-                    f"rows, {longest} of them in a row: is the sensor saturated? Nothing allows for what it "
-                    "then missed"
+                    f"imu: {name} is at its {which} value, {limit:.6g} {unit}, in {rows} rows, {longest} of "
+                    "them in a row: is the sensor saturated? Nothing allows for what it then missed"
                 )
     return found
 
@@ -342,6 +343,28 @@ def repeated_images(repeated: Mapping[str, str]) -> list[str]:
     return [
         f"copies of earlier images, which were not taken at their stamps: {_listed(pairs)}; their rims are "
         "left out"
+    ]
+
+
+def widened_prior(sigma_factor: float) -> list[str]:
+    """Warn of an initial state that measured rims contradict.
+
+    Parameters
+    ----------
+    sigma_factor : float
+        See `Reconstruction.sigma_factor`.
+
+    Returns
+    -------
+    list of str
+    """
+    if sigma_factor == 1.0:
+        return []
+    return [
+        "the rims of the first frames contradict the initial state, which is "
+        f"{sigma_factor:.2g} times as far off as it states: the sigmas of its position, attitude and "
+        "velocity were multiplied by that; check it and its frame, longitudes and latitudes in the "
+        "catalogue, T_BS and the intrinsics of the camera"
     ]
 
 

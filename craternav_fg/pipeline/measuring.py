@@ -20,6 +20,7 @@ from craternav_fg.pipeline.map_errors import (
     with_map_errors,
     with_white_map_errors,
 )
+from craternav_fg.pipeline.prior_check import sigma_factor, widened
 from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.rim_planes import heights_of_points, lowered_to_planes
 from craternav_fg.pipeline.sensor_checks import check_imu, check_logs
@@ -49,6 +50,8 @@ class Measured:
         Options of the front end, if there was one.
     disbelieved : mapping of int to FrameMeasurement
         See `Tracked`.
+    sigma_factor : float
+        By which the standard deviations of the initial state were multiplied, as the rims contradict it.
     """
 
     frames: tuple[FrameMeasurement, ...]
@@ -56,6 +59,7 @@ class Measured:
     guides: FloatArray | None = None
     limits: GuidedOptions | None = None
     disbelieved: Mapping[int, FrameMeasurement] = field(default_factory=dict)
+    sigma_factor: float = 1.0
 
     @property
     def every(self) -> "Measured":
@@ -192,6 +196,9 @@ class Measuring:
             # Where a wrong IMU led, the rims of its frames are those that were left out.
             check_imu(measured.every.problems(descent), dataset.path)
             check_logs(problems, dataset.path)
+            if dataset.measurements is not None and dataset.initial is not None:
+                measured = self._with_prior(measured, descent)
+                problems = measured.problems(descent)
             wrong = {} if dataset.measurements is None else _wrong_craters(problems)
             if wrong:
                 read = tuple(_without(frame, wrong) for frame in read)
@@ -225,6 +232,13 @@ class Measuring:
         return Measured(
             tracked.frames, tracked.segments, tracked.guides, front_end.options, tracked.disbelieved
         )
+
+    def _with_prior(self, measured: Measured, descent: Descent) -> Measured:
+        """Widen the initial state where the rims contradict it; images are tracked without it then."""
+        factor = sigma_factor(descent, measured.frames)
+        if factor == 1.0:
+            return measured
+        return replace(measured, segments=(Segment(0, widened(self.initial, factor)),), sigma_factor=factor)
 
     def _left_out(self, frame: FrameMeasurement) -> FrameMeasurement:
         """Take what is left out of a frame."""

@@ -99,7 +99,7 @@ def reconstruct(
     return Reconstruction(
         frames=measured.frames,
         problems=problems,
-        origin=_origin(dataset, measured.segments),
+        origin=_origin(dataset, measured),
         reinitialised_at=tuple(segment.first for segment in measured.segments[1:]),
         trajectories=trajectories,
         times_s=times_s | estimation_s,
@@ -118,6 +118,7 @@ def reconstruct(
         repeated={_name(dataset, k): _name(dataset, first) for k, first in repeated.items()},
         disbelieved={k: _name(dataset, k) for k in measured.disbelieved},
         displaced=_displaced(dataset, measured.segments),
+        sigma_factor=measured.sigma_factor,
         lowered=prepared.lowered,
         wrong_craters={
             dataset.catalog.identifiers[row]: count for row, count in prepared.wrong_craters.items()
@@ -278,11 +279,12 @@ def _definite(covariances: FloatArray) -> BoolArray:
     return np.asarray(np.linalg.eigvalsh(correlations)[:, 0] > -_MAX_ROUNDING)
 
 
-def _origin(dataset: Dataset, segments: Sequence[Segment]) -> Literal["given", "found", "replaced"]:
+def _origin(dataset: Dataset, measured: Measured) -> Literal["given", "found", "replaced"]:
     """Determine where the initial state is from, see `Reconstruction.origin`."""
     if dataset.initial is None:
         return "found"
-    return "given" if segments[0].initial is dataset.initial else "replaced"
+    kept = measured.sigma_factor > 1.0 or measured.segments[0].initial is dataset.initial
+    return "given" if kept else "replaced"
 
 
 def _displaced(dataset: Dataset, segments: Sequence[Segment]) -> str:

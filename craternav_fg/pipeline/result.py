@@ -89,6 +89,9 @@ class Reconstruction:
         explain it, see `pipeline.mistakes`.
     displaced : str
         Where the initial position was replaced by one that contradicts it: where it is from it.
+    sigma_factor : float
+        By which the standard deviations of the initial pose and velocity were multiplied, as measured rims
+        contradict them.
     lowered : bool
         Whether the catalogue's heights were taken for those of the rims' points, see `pipeline.rim_planes`.
     wrong_craters : mapping of str to int
@@ -118,6 +121,7 @@ class Reconstruction:
     disbelieved: Mapping[int, str] = field(default_factory=dict)
     mistake: str = ""
     displaced: str = ""
+    sigma_factor: float = 1.0
     lowered: bool = False
     wrong_craters: Mapping[str, int] = field(default_factory=dict)
     map_errors: EstimatedErrors | None = None
@@ -274,6 +278,7 @@ class Reconstruction:
             # A catalogue without heights says itself that its rims lie on the sphere.
             *warnings.lowered_rims(self.lowered and descent.catalog.has_heights),
             *unknown_height_warnings(descent.catalog.unknown_height_sigma_m),
+            *input_warnings.widened_prior(self.sigma_factor),
             *warnings.replaced_states(self.origin, self.reinitialised_at, self.mistake, self.displaced),
             *warnings.frames_without_rims(
                 [len(frame.rims) for frame in self.frames],

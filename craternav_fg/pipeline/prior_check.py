@@ -1,0 +1,98 @@
+"""Whether the initial state is as good as it states, by the poses that single frames have of their own.
+
+With standard deviations that are too small the initial state outweighs the rims of the first minutes, and all
+estimates are wrong without a sign of it in their covariances.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from craternav_fg import frames as rotations
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators import filter_state
+from craternav_fg.estimators.base import NUMERICAL_ERRORS, Descent
+from craternav_fg.estimators.filter_state import POSE, FilterState
+from craternav_fg.frames import rotate_position_block
+from craternav_fg.linalg import squared_distance
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.pipeline.tracking import CONTRADICTION_CHI2, FIX_VARIANCE_INFLATION
+from craternav_fg.resection.efficient import solve
+from craternav_fg.resection.problem import MatchedRims, ResectionProblem
+from craternav_fg.trajectory import InitialState
+
+# Rims that determine a pose and check it, frames that are asked, and those of them that must tell.
+_POSE_RIMS, _ASKED, _LEAST_FRAMES = 3, 5, 3
+
+
+def sigma_factor(descent: Descent, frames: Sequence[FrameMeasurement]) -> float:
+    """Compute by how much the standard deviations of the initial pose and velocity are too small.
+
+    Parameters
+    ----------
+    descent : Descent
+    frames : sequence of FrameMeasurement
+        With rims whose craters are known.
+
+    Returns
+    -------
+    float
+        1 where the first frames that have a pose of their own do not contradict the initial state, or where
+        fewer than three have one.
+    """
+    distances2: list[float] = []
+    asked = 0
+    for index, frame in enumerate(frames):
+        # Of two rims of one crater, nothing tells here which is the wrong match.
+        _, first, count = np.unique(frame.rims.craters, return_index=True, return_counts=True)
+        alone = np.sort(first[count == 1])
+        if len(alone) < _POSE_RIMS:
+            continue
+        predicted = filter_state.propagated_prior(descent, frames[: index + 1])[-1]
+        nearest2 = _nearest2(descent, replace(frame, rims=frame.rims.take(alone)), predicted)
+        distances2 += [] if nearest2 is None else [nearest2]
+        asked += 1
+        if asked == _ASKED:
+            break
+    if len(distances2) < _LEAST_FRAMES or np.median(distances2) < CONTRADICTION_CHI2:
+        return 1.0
+    return float(np.sqrt(np.median(distances2) / 6.0))
+
+
+def widened(initial: InitialState, factor: float) -> InitialState:
+    """Multiply the standard deviations of pose and velocity.
+
+    Parameters
+    ----------
+    initial : InitialState
+    factor : float
+
+    Returns
+    -------
+    InitialState
+    """
+    return replace(
+        initial,
+        attitude_sigma_rad=factor * initial.attitude_sigma_rad,
+        position_sigma_m=factor * initial.position_sigma_m,
+        velocity_sigma_m_s=factor * initial.velocity_sigma_m_s,
+    )
+
+
+def _nearest2(descent: Descent, frame: FrameMeasurement, predicted: FilterState) -> float | None:
+    """Squared distance of a predicted pose from the nearest one of a frame's rims alone; None without any."""
+    rims = MatchedRims.of(frame.rims, descent.catalog)
+    try:
+        found = solve(ResectionProblem(rims, descent.camera.bTc, sun=frame.sun)).poses
+    except (EstimationError, *NUMERICAL_ERRORS):
+        return None
+    of_poses = []
+    for pose in found:
+        R = pose.gTb[:3, :3]
+        turn = rotations.rotation_log(predicted.gTb[:3, :3].T @ R)
+        step = np.concatenate([turn, pose.gTb[:3, 3] - predicted.gTb[:3, 3]])
+        own = FIX_VARIANCE_INFLATION * rotate_position_block(pose.covariance, R)
+        if np.isfinite(own).all():
+            of_poses.append(float(squared_distance(step, predicted.covariance[POSE, POSE] + own)))
+    return min(of_poses, default=None)

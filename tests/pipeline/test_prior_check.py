@@ -1,0 +1,86 @@
+"""Initial states that are worse than they state, in data sets of measured rims."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from craternav_fg.dataset import Dataset
+from craternav_fg.estimators.base import Descent
+from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.pipeline.prior_check import _ASKED, sigma_factor
+from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.simulation.scenario import simulate
+from tests.descents import scenario
+
+ESTIMATORS = ("smoother", "online", "ekf")
+
+
+@pytest.fixture(scope="module", params=[3, 4])
+def data(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    folder = tmp_path_factory.mktemp("prior") / "data"
+    return Dataset.open(simulate(scenario(), folder, trial=request.param))
+
+
+def narrowed(data: Dataset, factor: float) -> Dataset:
+    """The same with standard deviations that are so many times too small."""
+    initial = data.initial
+    assert initial is not None
+    return replace(
+        data,
+        initial=replace(
+            initial,
+            attitude_sigma_rad=initial.attitude_sigma_rad / factor,
+            position_sigma_m=initial.position_sigma_m / factor,
+            velocity_sigma_m_s=initial.velocity_sigma_m_s / factor,
+        ),
+    )
+
+
+def worst_nees(data: Dataset) -> float:
+    """Mean squared normalised error of the pose over the second half, of the worst estimator."""
+    result = reconstruct(data, ESTIMATORS)
+    assert data.truth is not None
+    worst = 0.0
+    for one in result.trajectories.values():
+        assert one.pose_covariance is not None
+        found = nees(errors(one, data.truth).pose, one.pose_covariance)
+        worst = max(worst, float(found[len(found) // 2 :].mean()))
+    return worst
+
+
+def test_sigmas_that_are_far_too_small_are_widened_and_told(data: Dataset) -> None:
+    narrow = narrowed(data, 30.0)
+    result = reconstruct(narrow, ESTIMATORS)
+    assert 8.0 < result.sigma_factor < 60.0
+    assert result.origin == "given"
+    (told,) = [text for text in result.warnings if "contradict the initial state" in text]
+    assert f"{result.sigma_factor:.2g} times as far off as it states" in told
+    # Expected 6; about a state that is believed it is above 100.
+    assert worst_nees(narrow) < 20.0
+
+
+def test_a_sound_initial_state_is_kept(data: Dataset) -> None:
+    result = reconstruct(data, ("ekf",))
+    assert result.sigma_factor == 1.0
+    assert not any("contradict the initial state" in text for text in result.warnings)
+    assert result.problems[0].initial is data.initial
+
+
+def test_single_frames_do_not_count_against_it(data: Dataset) -> None:
+    """Stale images: their rims are those of another place."""
+    assert data.initial is not None
+    assert data.truth is not None
+    known = replace(data.initial, gTb=data.truth.gTb[0], position_sigma_m=50.0, attitude_sigma_rad=0.01)
+    descent = replace(Descent.of(data), initial=known)
+    frames = list(data.measurements or ())
+    stale = [replace(frames[k], rims=frames[-1].rims, sun=None) for k in range(_ASKED)]
+    assert sigma_factor(descent, stale[:2] + frames[2:]) == 1.0
+    assert sigma_factor(descent, stale[:2]) == 1.0
+    assert sigma_factor(descent, stale) > 3.0
+
+
+def test_too_few_rims_do_not_tell(data: Dataset) -> None:
+    narrow = narrowed(data, 30.0)
+    few = [replace(frame, rims=frame.rims.take(np.arange(2))) for frame in narrow.measurements or ()]
+    assert sigma_factor(Descent.of(narrow), few) == 1.0
