@@ -221,7 +221,7 @@ class GuidedFrontEnd:
         )  # fmt: skip
         covariance, *kept = parts
         rims = RimSet(rows, charts[keep], covariance, fitted.quality.take(keep), *kept)
-        if self.catalog.errors is not None:
+        if not (self.catalog.errors is None or self.catalog.errors.exact):
             slopes = in_plane_slopes(rows, pose, self.camera, self.catalog)
             rims = rims.scaled(shape_variance_factors(residual[keep], covariance, slopes))
         return _Result(rims, pose, spread, expected)
