@@ -38,6 +38,7 @@ from craternav_fg.cli.options import (
 )
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.errors import InputError
+from craternav_fg.pipeline.catalog_warnings import angles_in_radians, heights_in_km
 
 # Radii of one body that agree to so much: those of two tables may be rounded differently.
 _RADIUS_TOLERANCE = 1e-6
@@ -159,6 +160,8 @@ def import_(
     for part in parts:
         if not part.report.body_by:
             warn(assumed_body(part.path, "--body"))
+        for text in (*angles_in_radians(part.craters), *heights_in_km(part.craters)):
+            warn(f"{part.path}: {text}")
     if as_json:
         out.print_json(json.dumps(values))
         return

@@ -12,7 +12,7 @@ from craternav_fg.cli.app import app, example
 from craternav_fg.cli.options import JsonOption
 from craternav_fg.cli.terminal import out, say, three_digits, warn
 from craternav_fg.dataset import Dataset
-from craternav_fg.pipeline import input_warnings
+from craternav_fg.pipeline import catalog_warnings, input_warnings
 from craternav_fg.pipeline.repeated_images import repeated_images
 
 
@@ -58,14 +58,15 @@ def _summary(data: Dataset) -> dict[str, Any]:
         "truth": data.truth is not None,
         "apriori_states": data.apriori is not None,
         "warnings": [
-            *input_warnings.unusual_body(catalog),
-            *input_warnings.heights_in_km(catalog),
+            *catalog_warnings.unusual_body(catalog),
+            *catalog_warnings.heights_in_km(catalog),
+            *catalog_warnings.angles_in_radians(catalog),
             *input_warnings.unknown_sensors(data.ignored),
             *input_warnings.dead_imu(None if data.motion is not None else data.imu),
             *input_warnings.saturated_imu(None if data.motion is not None else data.imu),
             *input_warnings.empty_logs({one.name: len(one) for one in data.sensors}),
             *input_warnings.colour_images(data.in_colour),
-            *input_warnings.repeated_craters(data.repeated_craters),
+            *catalog_warnings.repeated_craters(data.repeated_craters),
             *input_warnings.repeated_images(_repeated(data)),
             *input_warnings.departing_sun(data.sun_departure_rad),
             *unknown_height_warnings(catalog.unknown_height_sigma_m),

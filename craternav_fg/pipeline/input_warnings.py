@@ -7,27 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from craternav_fg.camera import Camera
-from craternav_fg.catalogs.bodies import SAME_SPHERE, SPHERES_M, known_name
-from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import layout
-from craternav_fg.importing.bodies import known_mu_m3_s2, known_spin_rad_s
 from craternav_fg.imu import ImuLog
 from factors.arrays import FloatArray
 
 if TYPE_CHECKING:
     # The commands for one image name their mounting here, and detect nothing.
     from craternav_fg.pipeline.detected_intrinsics import DetectedIntrinsics
-    from craternav_fg.resection.map_variances import EstimatedErrors
 
 # Departure of the sun from its place among the stars that a warning names: what a tilt in the image shows.
 _MAX_DEPARTURE_RAD = math.radians(2.0)
 # Images that a warning names.
 _MAX_LISTED = 5
-# Share by which gravity and spin of a known body may differ from what is known: sources differ by less.
-_SAME_MOTION = 0.005
-# Heights of rims on a body of that radius scatter by hundreds of metres: fewer craters than these may lie on
-# one level, and heights below the limit are in another unit.
-_LARGE_BODY_M, _MIN_HEIGHTS, _LOW_HEIGHT_M = 1e5, 8, 12.0
 # Rows in a row that may be equal by chance of digits are fewer; of the others, at most this share.
 _MIN_FROZEN_ROWS, _MAX_REPEATED_SHARE = 20, 0.02
 # Rows in a row at the limit of a sensor's range: at least so many, and times as many as of any other value.
@@ -163,26 +154,6 @@ def colour_images(count: int) -> list[str]:
     return [f"{count} images are in colour: their luma is used"]
 
 
-def repeated_craters(names: Sequence[str]) -> list[str]:
-    """Warn of craters that the catalogue has twice.
-
-    Parameters
-    ----------
-    names : sequence of str
-        See `Dataset.repeated_craters`.
-
-    Returns
-    -------
-    list of str
-    """
-    if not names:
-        return []
-    return [
-        f"the catalogue has craters twice: {_listed(names)} are left out, as earlier rows have nearly the "
-        "same places and sizes (`craternav catalog merge` merges tables)"
-    ]
-
-
 def departing_sun(departure_rad: float) -> list[str]:
     """Warn of a sun that does not keep its place among the stars, as one direction on a spinning body.
 
@@ -203,128 +174,6 @@ def departing_sun(departure_rad: float) -> list[str]:
     ]
 
 
-def unusual_body(catalog: Catalog) -> list[str]:
-    """Warn of a body that is known by name, and stated with another sphere, gravity or spin.
-
-    Nothing in the images contradicts a wrong sphere: heights and the whole trajectory move with it.
-
-    Parameters
-    ----------
-    catalog : Catalog
-        On the body of `dataset.toml`.
-
-    Returns
-    -------
-    list of str
-    """
-    body, name = catalog.body, known_name(catalog.body.name)
-    if name is None:
-        return []
-    sphere_m, mu, spin = SPHERES_M[name], known_mu_m3_s2(name), known_spin_rad_s(name)
-    found = []
-    if not catalog.sphere_stated and abs(body.radius_m - sphere_m) > SAME_SPHERE * sphere_m:
-        found.append(
-            f"radius_m of [body] is {body.radius_m:.9g}, but that of maps and heights of {name} "
-            f"{sphere_m:.9g}: if the catalogue's heights refer to the latter, all positions are wrong by the "
-            "difference; a column BODY_RADIUS_M in the catalogue says to which"
-        )
-    if mu and abs(body.mu_m3_s2 - mu) > _SAME_MOTION * mu:
-        found.append(f"mu_m3_s2 of [body] is {body.mu_m3_s2:.6g}, but that of {name} {mu:.6g}")
-    if spin and math.dist(body.spin_rad_s, (0.0, 0.0, spin)) > _SAME_MOTION * abs(spin):
-        stated = ", ".join(f"{one:.6g}" for one in body.spin_rad_s)
-        found.append(f"spin_rad_s of [body] is [{stated}], but that of {name} [0, 0, {spin:.6g}]")
-    return found
-
-
-def heights_in_km(catalog: Catalog) -> list[str]:
-    """Warn of rim heights that are far below those of any large body.
-
-    Nothing else shows it where rims are measured in images: those that fit the wrong heights are used.
-
-    Parameters
-    ----------
-    catalog : Catalog
-
-    Returns
-    -------
-    list of str
-    """
-    if not catalog.has_heights or len(catalog) < _MIN_HEIGHTS or catalog.body.radius_m < _LARGE_BODY_M:
-        return []
-    highest_m = float(np.abs(catalog.height_m).max())
-    if not 0.0 < highest_m < _LOW_HEIGHT_M:
-        return []
-    return [
-        f"RIM_HEIGHT_M of the catalogue is at most {highest_m:.2g} m above or below the sphere: expected "
-        "metres, is it in kilometres?"
-    ]
-
-
-def unstated_map_errors(catalog: Catalog, contradicted: bool, tenth_px_m: float) -> list[str]:
-    """Tell that the catalogue counts as exact, where images or other sensors contradict its craters.
-
-    Parameters
-    ----------
-    catalog : Catalog
-    contradicted : bool
-        Whether rims are missing, left out or contradict other sensors.
-    tenth_px_m : float
-        A tenth of a pixel on the ground: a rim is measured to about as much.
-
-    Returns
-    -------
-    list of str
-    """
-    if not contradicted or catalog.errors is not None:
-        return []
-    return [
-        "the catalogue states no errors and counts as exact, which alone can cause the warnings of rims, of "
-        f"the IMU and of frames without rims: unless its places and heights are known to {tenth_px_m:.1g} m "
-        "(a tenth of a pixel), state PLACE_SIGMA_M, SIZE_SIGMA_SHARE and RIM_HEIGHT_SIGMA_M"
-    ]
-
-
-def assumed_map_errors(errors: "EstimatedErrors | None") -> list[str]:
-    """Tell which errors were assumed of a catalogue that states none.
-
-    Parameters
-    ----------
-    errors : EstimatedErrors or None
-
-    Returns
-    -------
-    list of str
-    """
-    if errors is None:
-        return []
-    return [
-        "the catalogue states no errors, but the rims of single images contradict it at every pose: standard "
-        f"deviations with which they agree were assumed, {errors.words}; state PLACE_SIGMA_M, "
-        "SIZE_SIGMA_SHARE and RIM_HEIGHT_SIGMA_M if you know better"
-    ]
-
-
-def wrong_craters(frames: Mapping[str, int]) -> list[str]:
-    """Warn of craters that contradict all others.
-
-    Parameters
-    ----------
-    frames : mapping of str to int
-        By the crater's name, in how many frames.
-
-    Returns
-    -------
-    list of str
-    """
-    if not frames:
-        return []
-    names = [f"{name} ({count} frames)" for name, count in frames.items()]
-    return [
-        f"the rims of {_listed(names)} are outliers (beyond 7 sigma) where the others agree, and left out: "
-        "are they those of other craters, or is the catalogue wrong there?"
-    ]
-
-
 def repeated_images(repeated: Mapping[str, str]) -> list[str]:
     """Warn of images that are copies of earlier ones.
 
@@ -341,7 +190,7 @@ def repeated_images(repeated: Mapping[str, str]) -> list[str]:
         return []
     pairs = [f"{name} (same pixels as {first})" for name, first in repeated.items()]
     return [
-        f"copies of earlier images, which were not taken at their stamps: {_listed(pairs)}; their rims are "
+        f"copies of earlier images, which were not taken at their stamps: {listed(pairs)}; their rims are "
         "left out"
     ]
 
@@ -384,14 +233,23 @@ def disbelieved_frames(disbelieved: Mapping[int, str]) -> list[str]:
         return []
     names = [f"{frame} ({name})" for frame, name in disbelieved.items()]
     return [
-        f"the craters identified in frame {_listed(names)} contradict the IMU and other frames, and no "
+        f"the craters identified in frame {listed(names)} contradict the IMU and other frames, and no "
         "later frame confirms them: their rims are left out; check that the image is the one of its stamp, "
         "and if this happens often, the IMU's units and axes"
     ]
 
 
-def _listed(names: Sequence[str]) -> str:
-    """List the first of many names."""
+def listed(names: Sequence[str]) -> str:
+    """List the first of many names.
+
+    Parameters
+    ----------
+    names : sequence of str
+
+    Returns
+    -------
+    str
+    """
     shown = ", ".join(names[:_MAX_LISTED])
     return shown if len(names) <= _MAX_LISTED else f"{shown} and {len(names) - _MAX_LISTED} more"
 

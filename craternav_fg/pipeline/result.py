@@ -22,7 +22,7 @@ from craternav_fg.evaluation.sensor_consistency import (
     summarise,
 )
 from craternav_fg.measurements import FrameMeasurement
-from craternav_fg.pipeline import input_warnings, warnings
+from craternav_fg.pipeline import catalog_warnings, input_warnings, warnings
 from craternav_fg.pipeline.detected_intrinsics import DetectedIntrinsics
 from craternav_fg.pipeline.displacement import displacement
 from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
@@ -263,15 +263,16 @@ class Reconstruction:
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
             ),
             *input_warnings.missing_lever_arm(descent.camera, self._least_position_sigma_m()),
-            *input_warnings.unusual_body(descent.catalog),
-            *input_warnings.heights_in_km(descent.catalog),
+            *catalog_warnings.unusual_body(descent.catalog),
+            *catalog_warnings.heights_in_km(descent.catalog),
+            *catalog_warnings.angles_in_radians(descent.catalog),
             *input_warnings.unknown_sensors(self.ignored),
             *input_warnings.dead_imu(None if descent.motion is not None else descent.imu),
             *input_warnings.saturated_imu(None if descent.motion is not None else descent.imu),
             *input_warnings.empty_logs({one.name: len(one) for one in descent.sensors}),
             *input_warnings.colour_images(self.in_colour),
-            *input_warnings.repeated_craters(self.repeated_craters),
-            *input_warnings.wrong_craters(self.wrong_craters),
+            *catalog_warnings.repeated_craters(self.repeated_craters),
+            *catalog_warnings.wrong_craters(self.wrong_craters),
             *input_warnings.departing_sun(self.sun_departure_rad),
             *input_warnings.repeated_images(self.repeated),
             *input_warnings.disbelieved_frames(self.disbelieved),
@@ -286,8 +287,8 @@ class Reconstruction:
                 self.mistake,
                 [sensor.name for sensor in descent.sensors],
             ),
-            *input_warnings.assumed_map_errors(self.map_errors),
-            *input_warnings.unstated_map_errors(
+            *catalog_warnings.assumed_map_errors(self.map_errors),
+            *catalog_warnings.unstated_map_errors(
                 descent.catalog, self._contradicts_the_map() and not of_detected, self._tenth_px_m()
             ),
         )

@@ -133,6 +133,20 @@ def test_what_was_skipped_and_assumed_is_said(imported, tmp_path):
     assert "expected Moon of 1737400 m, as in" in done.err
 
 
+def test_places_in_radians_and_heights_in_km_are_warned_of(tmp_path):
+    rows = "".join(
+        f"{np.arcsin(-0.99 + 0.0495 * k):.6f},{0.15 * k:.6f},{4.0 + 0.02 * k:.3f},{0.01 * k:.2f}\n"
+        for k in range(41)
+    )
+    (tmp_path / "table.csv").write_text("LAT_DEG,LON_DEG,DIAM_KM,RIM_HEIGHT_M\n" + rows)
+    output = tmp_path / "craters.parquet"
+    done = call("catalog", "import", tmp_path / "table.csv", "-o", output, "--body", "Moon")
+    assert done.code == 0, done.err
+    told = " ".join(done.err.split())
+    assert "the catalogue's latitudes are -1.43 to 1.43 deg" in told
+    assert "RIM_HEIGHT_M of the catalogue is at most 0.4 m" in told
+
+
 @pytest.mark.parametrize("name", ["craters.parquet", "craters.csv", "figure.png", "pairs.csv"])
 def test_a_full_disk_is_one_line_and_leaves_what_was_there(imported, tmp_path, name):
     folder, _ = imported

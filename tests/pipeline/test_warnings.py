@@ -11,7 +11,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.evaluation.innovations import Innovations
 from craternav_fg.evaluation.sensor_consistency import ResidualSummary
 from craternav_fg.imu import ImuLog
-from craternav_fg.pipeline import input_warnings, warnings
+from craternav_fg.pipeline import catalog_warnings, input_warnings, warnings
 from craternav_fg.pipeline.displacement import displacement
 from craternav_fg.simulation.scenes import MOON
 
@@ -69,7 +69,7 @@ def test_a_known_body_with_another_sphere_gravity_or_spin_is_told() -> None:
         body = dataclasses.replace(MOON, **of_body)
         nothing = np.zeros(0)
         catalog = Catalog((), *(nothing,) * 6, body, sphere_stated=stated)
-        return input_warnings.unusual_body(catalog)
+        return catalog_warnings.unusual_body(catalog)
 
     assert told() == []
     (text,) = told(name="moon", radius_m=1738000.0)
@@ -136,28 +136,47 @@ def test_a_saturated_imu_is_told(digit: float) -> None:
     assert input_warnings.saturated_imu(dataclasses.replace(log, accelerometer_m_s2=steps)) == []
 
 
+def test_places_in_radians_are_told() -> None:
+    rng = np.random.default_rng(4)
+    n = 60
+    latitude, longitude = np.arcsin(rng.uniform(-1.0, 1.0, n)), rng.uniform(0.0, 2.0 * np.pi, n)
+    names, size = tuple(f"C{k}" for k in range(n)), np.full(n, 500.0)
+
+    def told(north: np.ndarray, east: np.ndarray) -> list[str]:
+        placed = Catalog(names, np.radians(north), np.radians(east), size, size, 0.0 * size, 0.0 * size, MOON)
+        return catalog_warnings.angles_in_radians(placed)
+
+    for east in (longitude, longitude - np.pi):
+        (text,) = told(latitude, east)
+        assert text.endswith("deg: expected degrees, are they in radians?")
+    assert told(np.degrees(latitude), np.degrees(longitude)) == []
+    # A region of a few degrees, and one around the whole body near its equator.
+    assert told(0.5 * latitude, longitude) == told(latitude + 0.2, longitude) == []
+    assert told(latitude, 0.5 * longitude) == told(latitude, np.degrees(longitude)) == []
+
+
 def test_craters_that_the_catalogue_has_twice_are_told() -> None:
-    assert input_warnings.repeated_craters(()) == []
-    (text,) = input_warnings.repeated_craters(("C7b", "C9b"))
+    assert catalog_warnings.repeated_craters(()) == []
+    (text,) = catalog_warnings.repeated_craters(("C7b", "C9b"))
     assert "C7b, C9b are left out" in text
 
 
 def test_heights_in_kilometres_are_told() -> None:
-    (text,) = input_warnings.heights_in_km(craters([-2.1, 0.3, 1.9, 3.2, -0.6, 0.7, 1.1, 2.2]))
+    (text,) = catalog_warnings.heights_in_km(craters([-2.1, 0.3, 1.9, 3.2, -0.6, 0.7, 1.1, 2.2]))
     assert "at most 3.2 m" in text
-    assert input_warnings.heights_in_km(craters([-2100.0, 0.3, 1.9, 3.2, -0.6, 0.7, 1.1, 2.2])) == []
+    assert catalog_warnings.heights_in_km(craters([-2100.0, 0.3, 1.9, 3.2, -0.6, 0.7, 1.1, 2.2])) == []
     # A catalogue on the sphere, and few craters of one place.
-    assert input_warnings.heights_in_km(craters(8 * [0.0])) == []
-    assert input_warnings.heights_in_km(craters([-2.1, 0.3])) == []
+    assert catalog_warnings.heights_in_km(craters(8 * [0.0])) == []
+    assert catalog_warnings.heights_in_km(craters([-2.1, 0.3])) == []
 
 
 def test_a_map_that_counts_as_exact_is_told_where_something_contradicts_it() -> None:
     exact, stated = craters([1.0, 2.0]), craters([1.0, 2.0], MapErrors.zeros(2))
-    (text,) = input_warnings.unstated_map_errors(exact, True, 0.63)
+    (text,) = catalog_warnings.unstated_map_errors(exact, True, 0.63)
     assert "known to 0.6 m" in text
     assert "PLACE_SIGMA_M" in text
-    assert input_warnings.unstated_map_errors(exact, False, 0.63) == []
-    assert input_warnings.unstated_map_errors(stated, True, 0.63) == []
+    assert catalog_warnings.unstated_map_errors(exact, False, 0.63) == []
+    assert catalog_warnings.unstated_map_errors(stated, True, 0.63) == []
 
 
 def test_camera_and_stamps_are_among_the_things_to_check() -> None:

@@ -1,0 +1,192 @@
+"""Warnings of a catalogue, and of the body that it lies on: units, entries that occur twice, errors."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from craternav_fg.catalogs.bodies import SAME_SPHERE, SPHERES_M, known_name
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.importing.bodies import known_mu_m3_s2, known_spin_rad_s
+from craternav_fg.pipeline.input_warnings import listed
+
+if TYPE_CHECKING:
+    # The commands for one image name their mounting here, and detect nothing.
+    from craternav_fg.resection.map_variances import EstimatedErrors
+
+# Share by which gravity and spin of a known body may differ from what is known: sources differ by less.
+_SAME_MOTION = 0.005
+# Heights of rims on a body of that radius scatter by hundreds of metres: fewer craters than these may lie on
+# one level, and heights below the limit are in another unit.
+_LARGE_BODY_M, _MIN_HEIGHTS, _LOW_HEIGHT_M = 1e5, 8, 12.0
+# So many craters that come so near to both poles, and reach so far around the body, in radians, but not
+# beyond by more than a digit.
+_MIN_PLACES, _NEAR_POLES, _AROUND, _DIGIT = 20, 1.1, 5.5, 1e-3
+
+
+def repeated_craters(names: Sequence[str]) -> list[str]:
+    """Warn of craters that the catalogue has twice.
+
+    Parameters
+    ----------
+    names : sequence of str
+        See `Dataset.repeated_craters`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not names:
+        return []
+    return [
+        f"the catalogue has craters twice: {listed(names)} are left out, as earlier rows have nearly the "
+        "same places and sizes (`craternav catalog merge` merges tables)"
+    ]
+
+
+def unusual_body(catalog: Catalog) -> list[str]:
+    """Warn of a body that is known by name, and stated with another sphere, gravity or spin.
+
+    Nothing in the images contradicts a wrong sphere: heights and the whole trajectory move with it.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        On the body of `dataset.toml`.
+
+    Returns
+    -------
+    list of str
+    """
+    body, name = catalog.body, known_name(catalog.body.name)
+    if name is None:
+        return []
+    sphere_m, mu, spin = SPHERES_M[name], known_mu_m3_s2(name), known_spin_rad_s(name)
+    found = []
+    if not catalog.sphere_stated and abs(body.radius_m - sphere_m) > SAME_SPHERE * sphere_m:
+        found.append(
+            f"radius_m of [body] is {body.radius_m:.9g}, but that of maps and heights of {name} "
+            f"{sphere_m:.9g}: if the catalogue's heights refer to the latter, all positions are wrong by the "
+            "difference; a column BODY_RADIUS_M in the catalogue says to which"
+        )
+    if mu and abs(body.mu_m3_s2 - mu) > _SAME_MOTION * mu:
+        found.append(f"mu_m3_s2 of [body] is {body.mu_m3_s2:.6g}, but that of {name} {mu:.6g}")
+    if spin and math.dist(body.spin_rad_s, (0.0, 0.0, spin)) > _SAME_MOTION * abs(spin):
+        stated = ", ".join(f"{one:.6g}" for one in body.spin_rad_s)
+        found.append(f"spin_rad_s of [body] is [{stated}], but that of {name} [0, 0, {spin:.6g}]")
+    return found
+
+
+def heights_in_km(catalog: Catalog) -> list[str]:
+    """Warn of rim heights that are far below those of any large body.
+
+    Nothing else shows it where rims are measured in images: those that fit the wrong heights are used.
+
+    Parameters
+    ----------
+    catalog : Catalog
+
+    Returns
+    -------
+    list of str
+    """
+    if not catalog.has_heights or len(catalog) < _MIN_HEIGHTS or catalog.body.radius_m < _LARGE_BODY_M:
+        return []
+    highest_m = float(np.abs(catalog.height_m).max())
+    if not 0.0 < highest_m < _LOW_HEIGHT_M:
+        return []
+    return [
+        f"RIM_HEIGHT_M of the catalogue is at most {highest_m:.2g} m above or below the sphere: expected "
+        "metres, is it in kilometres?"
+    ]
+
+
+def unstated_map_errors(catalog: Catalog, contradicted: bool, tenth_px_m: float) -> list[str]:
+    """Tell that the catalogue counts as exact, where images or other sensors contradict its craters.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    contradicted : bool
+        Whether rims are missing, left out or contradict other sensors.
+    tenth_px_m : float
+        A tenth of a pixel on the ground: a rim is measured to about as much.
+
+    Returns
+    -------
+    list of str
+    """
+    if not contradicted or catalog.errors is not None:
+        return []
+    return [
+        "the catalogue states no errors and counts as exact, which alone can cause the warnings of rims, of "
+        f"the IMU and of frames without rims: unless its places and heights are known to {tenth_px_m:.1g} m "
+        "(a tenth of a pixel), state PLACE_SIGMA_M, SIZE_SIGMA_SHARE and RIM_HEIGHT_SIGMA_M"
+    ]
+
+
+def assumed_map_errors(errors: "EstimatedErrors | None") -> list[str]:
+    """Tell which errors were assumed of a catalogue that states none.
+
+    Parameters
+    ----------
+    errors : EstimatedErrors or None
+
+    Returns
+    -------
+    list of str
+    """
+    if errors is None:
+        return []
+    return [
+        "the catalogue states no errors, but the rims of single images contradict it at every pose: standard "
+        f"deviations with which they agree were assumed, {errors.words}; state PLACE_SIGMA_M, "
+        "SIZE_SIGMA_SHARE and RIM_HEIGHT_SIGMA_M if you know better"
+    ]
+
+
+def wrong_craters(frames: Mapping[str, int]) -> list[str]:
+    """Warn of craters that contradict all others.
+
+    Parameters
+    ----------
+    frames : mapping of str to int
+        By the crater's name, in how many frames.
+
+    Returns
+    -------
+    list of str
+    """
+    if not frames:
+        return []
+    names = [f"{name} ({count} frames)" for name, count in frames.items()]
+    return [
+        f"the rims of {listed(names)} are outliers (beyond 7 sigma) where the others agree, and left out: "
+        "are they those of other craters, or is the catalogue wrong there?"
+    ]
+
+
+def angles_in_radians(catalog: Catalog) -> list[str]:
+    """Warn of places that cover the whole body if they are in radians, and a few degrees as they are read.
+
+    Parameters
+    ----------
+    catalog : Catalog
+
+    Returns
+    -------
+    list of str
+    """
+    latitude, longitude = np.degrees(catalog.latitude_rad), np.degrees(catalog.longitude_rad)
+    east = (longitude + 180.0) % 360.0 - 180.0
+    if len(catalog) < _MIN_PLACES or not _AROUND < np.ptp(east) < 2.0 * math.pi + _DIGIT:
+        return []
+    south, north = float(latitude.min()), float(latitude.max())
+    highest = 0.5 * math.pi + _DIGIT
+    if not (-highest < south < -_NEAR_POLES and _NEAR_POLES < north < highest):
+        return []
+    return [
+        f"the catalogue's latitudes are {south:.3g} to {north:.3g} deg, its longitudes {east.min():.3g} to "
+        f"{east.max():.3g} deg: expected degrees, are they in radians?"
+    ]
