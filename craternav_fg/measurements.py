@@ -1,5 +1,6 @@
 """Measurements of one image: rims as ellipse charts, parts of rims as edge points, and the sun's tilt."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -92,6 +93,17 @@ class RimQuality:
             A mask or indices.
         """
         return RimQuality(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence["RimQuality"]) -> "RimQuality":
+        """Join the qualities of several sets of rims, possibly none.
+
+        Parameters
+        ----------
+        parts : sequence of RimQuality
+        """
+        names = [field.name for field in fields(cls)]
+        return cls(*(np.concatenate([np.empty(0), *(getattr(one, name) for one in parts)]) for name in names))
 
 
 @dataclass(frozen=True)

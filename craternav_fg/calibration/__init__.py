@@ -69,7 +69,7 @@ FOLDER` with the folder of the public files. So are `common_shift`, which gives
 `catalogs.map_errors.CRATER_FREEDOM` (4) and the scenarios' `common_place_sigma_m`, and `posed_images`,
 which gives `mapping.posed_images.IMAGES_PER_VIEW` (3), both without standard errors, `catalogue_errors`,
 which gives the errors of a published map as an elevation model shows them, and `pull_of_prediction`, which
-shows what `GuidedOptions.recentrings` is for.
+shows what `GuidedOptions.recentrings` and `searches` are for.
 
 `GuidedOptions.brightness_slope_per_px` is not regenerated: it was set by the chi-square of single rims above
 100 px, whose median is right with it (0.99 over 25 rims) and hardly changes with three times of it (1.00).

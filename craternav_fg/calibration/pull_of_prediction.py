@@ -176,7 +176,11 @@ def of_data_set(data: Dataset, console: Console) -> None:
         for k in range(0, len(data), _FRAME_STEP)
     ]
     maps = data.catalog, moved_at_random(data.catalog, np.random.default_rng(0))
-    for recentrings in (0, GuidedOptions.recentrings):
-        options = replace(GuidedOptions(), recentrings=recentrings)
+    usual = GuidedOptions()
+    for how, options in (
+        ("once", replace(usual, recentrings=0)),
+        (f"again, {usual.recentrings} times", replace(usual, searches=1)),
+        (f"from {usual.searches} places", usual),
+    ):
         found = pull(views, data.camera, maps, options)
-        console.print(f"searched again {recentrings} times: pull {found.slope:.2f} of {found.rims} rims")
+        console.print(f"searched {how}: pull {found.slope:.2f} of {found.rims} rims")

@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.images import ImageArray as GreyImage
-from craternav_fg.ellipse import normalised_chart, pixel_chart, points_on
+from craternav_fg.ellipse import normalised_chart
 from craternav_fg.frames import rotate_position_block
 from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
@@ -34,6 +34,7 @@ from craternav_fg.vision.pose_correction import corrected_pose
 from craternav_fg.vision.predicted_rims import PredictedRims, predict_rims
 from craternav_fg.vision.reference_brightness import ReferenceBrightness
 from craternav_fg.vision.reflectance import photometric_law
+from craternav_fg.vision.repeated_search import recentred, searched_around
 from craternav_fg.vision.rim_fitting import FittedRims, RimFitter
 from craternav_fg.vision.shift_search import common_shift, own_shifts
 from craternav_fg.vision.sun import measure_sun_tilt
@@ -50,8 +51,6 @@ _SHIFT_SIGMA_PX = 1.0
 # Largest half length of the searched normals, as a share of the semi-minor axis: beyond, walls and neighbours
 # are nearer than the rim.
 _MAX_REACH = 0.4
-# Movement, px, of a rim's points below which it is where it was searched, and the number of these points.
-_MIN_MOVED_PX, _MOVED_POINTS = 0.05, 8
 # Components of an ellipse chart.
 _CHART_SIZE = 5
 
@@ -155,7 +154,7 @@ class GuidedFrontEnd:
             pose = self._aligned(frame, common, min(radius_px, opt.max_shift_px))
             rims = self._predict(frame, pose, opt.margin_px)
         if radius_px + opt.shift_sigmas * np.median(own_px) > opt.second_reach_px:
-            rough = fitter.fit(rims, _reach_px(rims, opt.first_reach_px, opt.first_reach_share), rough=True)
+            rough = fitter.fit(rims, rims.reach_px(opt.first_reach_px, opt.first_reach_share), rough=True)
             if len(rough) > 0:
                 residual = rough.charts - rough.predicted.charts
                 H = rough.predicted.jacobians
@@ -243,7 +242,7 @@ class GuidedFrontEnd:
         points: list[FloatArray] = []
         sigmas: list[FloatArray] = []
         correlated: list[float] = []
-        reach_px = _reach_px(rims, opt.second_reach_px, opt.second_reach_share)
+        reach_px = rims.reach_px(opt.second_reach_px, opt.second_reach_share)
         scale = normalised_chart(rims.charts_px, self.camera)[1]
         of_map_px = self._of_map(rims.rows, result.gTb) / np.outer(scale, scale)
         growth = common_growth(
@@ -287,36 +286,33 @@ class GuidedFrontEnd:
         fitted = self._found(fitter, rims, gTb)
         if self.catalog.errors is None:
             return fitted
-        for _ in range(opt.recentrings):
-            before_px = pixel_chart(fitted.charts, self.camera)
-            around = replace(fitted.predicted, charts_px=before_px)
-            reach_px = _reach_px(around, opt.second_reach_px, opt.second_reach_share)
-            again = fitter.fit(around, reach_px, opt.recentred_found_share, rough=True)
-            kept = np.flatnonzero(np.isin(around.rows, again.predicted.rows))
-            fitted = replace(again, predicted=fitted.predicted.take(kept))
-            after_px = pixel_chart(fitted.charts, self.camera)
-            moved_px = np.abs(points_on(after_px, _MOVED_POINTS) - points_on(before_px[kept], _MOVED_POINTS))
-            if np.max(moved_px, initial=0.0) < _MIN_MOVED_PX:
-                break
-        return fitted
+        if self.catalog.errors.exact or opt.recentrings == 0:
+            return recentred(fitter, fitted, self.camera, opt)
+        place_px = self._place_px(fitted.predicted.rows, gTb)
+        return searched_around(fitter, fitted, place_px, self.camera, opt)
 
     def _found(self, fitter: RimFitter, rims: PredictedRims, gTb: FloatArray) -> FittedRims:
         """Fit rims; those that are not where the map has them are searched as far as its errors allow."""
         opt = self.options
-        reach_px = _reach_px(rims, opt.second_reach_px, opt.second_reach_share)
+        reach_px = rims.reach_px(opt.second_reach_px, opt.second_reach_share)
         # In a descent over real ground, whose map states errors, a second search at the level of the ground
         # made poses worse: those rims are searched again around themselves instead.
         fitted = fitter.fit(rims, reach_px, rough=self.catalog.errors is not None)
         if self.catalog.errors is None or len(fitted) == len(rims):
             return fitted
         missing = ~np.isin(rims.rows, fitted.predicted.rows)
+        place_px = self._place_px(rims.rows[missing], gTb)
         covariance = self._of_map(rims.rows[missing], gTb)
-        place_px = self.camera.focal_px * np.sqrt(np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1])
-        minor_px = _smallest_radii_px(rims)[missing]
+        minor_px = rims.smallest_radii_px()[missing]
         size_px = minor_px * np.sqrt(covariance[:, 2, 2])
         wider_px = reach_px[missing] + opt.map_error_sigmas * np.hypot(place_px, size_px)
         reach_px[missing] = np.minimum(wider_px, np.maximum(reach_px[missing], _MAX_REACH * minor_px))
         return fitter.fit(rims, reach_px, rough=True)
+
+    def _place_px(self, rows: IntArray, gTb: FloatArray) -> FloatArray:
+        """Compute the standard deviations (n,) of places on the map, px, in the direction of the largest."""
+        covariance = self._of_map(rows, gTb)[:, :2, :2]
+        return np.asarray(self.camera.focal_px * np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]))
 
     def _of_map(self, rows: IntArray, gTb: FloatArray) -> FloatArray:
         """Covariance (n, 5, 5) of charts from the catalogue's errors."""
@@ -339,15 +335,6 @@ class GuidedFrontEnd:
         at = self.catalog.latitude_rad[rows], self.catalog.longitude_rad[rows]
         rows = rows[np.lexsort(at)]
         return predict_rims(rows, self.camera, self.catalog, gTb, frame.sun_g, frame.brightness)
-
-
-def _smallest_radii_px(rims: PredictedRims) -> FloatArray:
-    return np.array([rims.smallest_radius_px(i) for i in range(len(rims))])
-
-
-def _reach_px(rims: PredictedRims, px: float, share: float) -> FloatArray:
-    """Half lengths (n,) of the normals on which rims are searched."""
-    return np.asarray(px + share * _smallest_radii_px(rims))
 
 
 def _largest_sigma(motion: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -55,6 +55,13 @@ class GuidedOptions:
     recentred_found_share : float
         Minimum share of the normals with an edge in these searches. With that of the first search, a third of
         the rims would drop out, hardly worse than the others.
+    searches : int
+        Where the catalogue states errors, from how many places each rim is searched: the predicted one, and
+        others around it.
+    search_sigmas : float
+        Distance of these from it, in standard deviations of the rim's place on the map.
+    least_searches : int
+        Number of the searches that must find a rim.
     gate_probability : float
         Probability with which a correct rim passes the chi-square gate.
     full_arc_share : float
@@ -93,6 +100,9 @@ class GuidedOptions:
     map_error_sigmas: float = 2.0
     recentrings: int = 3
     recentred_found_share: float = 0.4
+    searches: int = 5
+    search_sigmas: float = 1.0
+    least_searches: int = 3
     gate_probability: float = 0.9999
     full_arc_share: float = 0.5
     edges: EdgeOptions = field(default_factory=EdgeOptions)

@@ -86,6 +86,30 @@ class PredictedRims:
         """Return the approximate semi-minor axis of a rim, px."""
         return float(semi_minor_bound(self.charts_px[i]))
 
+    def smallest_radii_px(self) -> FloatArray:
+        """Return the approximate semi-minor axes of all rims.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            px.
+        """
+        return np.array([self.smallest_radius_px(i) for i in range(len(self))])
+
+    def reach_px(self, px: float, share: float) -> FloatArray:
+        """Return the half lengths of the normals on which rims are searched.
+
+        Parameters
+        ----------
+        px, share : float
+            Constant part, px, and part of the semi-minor axis.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
+        return np.asarray(px + share * self.smallest_radii_px())
+
     def motion_px(self, camera: Camera) -> FloatArray:
         """Differentiate the rims' centres, px, in the right twist of the body's pose.
 

@@ -26,7 +26,8 @@ PAGE = (Path(__file__).parents[2] / "docs" / "howto" / "apollo15.md").read_text(
 VARIANTS = {
     "as above": ("min_semi_minor_px", "8.0"),
     "edge points of rims": ("full_arc_share", "0.5"),
-    "rims searched again": ("recentrings", "3"),
+    "rims searched again": ("recentrings", "3\nsearches = 1"),
+    "rims searched from five places": ("recentrings", "3"),
     "no second search": ("map_error_sigmas", "0.0"),
     "floor of 0.2 px": ("floor_px", "0.2"),
     "floor of 0.5 px": ("floor_px", "0.5"),
@@ -62,7 +63,7 @@ def options_with(folder: Path, key: str, value: str) -> OptionsFile:
     """The page's options with another value of one key."""
     text = block("toml", "[front_end]")
     changed, count = re.subn(rf"^{key} = \S+", f"{key} = {value}", text, flags=re.MULTILINE)
-    path = folder / f"{key}_{value}.toml"
+    path = folder / f"{key}_{value.partition(chr(10))[0]}_{len(value)}.toml"
     if not count:
         table = _TABLES.get(key, "[front_end]")
         changed = f"{table}\n{key} = {value}\n{text.removeprefix(table)}"
