@@ -23,6 +23,8 @@ _LARGE_BODY_M, _MIN_HEIGHTS, _LOW_HEIGHT_M = 1e5, 8, 12.0
 # So many craters that come so near to both poles, and reach so far around the body, in radians, but not
 # beyond by more than a digit.
 _MIN_PLACES, _NEAR_POLES, _AROUND, _DIGIT = 20, 1.1, 5.5, 1e-3
+# Logarithm of the ratio of densities, halfway between its means: 0.1 on a whole body, -0.24 in a region.
+_EVEN_DENSITY = -0.07
 
 
 def repeated_craters(names: Sequence[str]) -> list[str]:
@@ -178,15 +180,26 @@ def angles_in_radians(catalog: Catalog) -> list[str]:
     -------
     list of str
     """
+    if len(catalog) < _MIN_PLACES:
+        return []
     latitude, longitude = np.degrees(catalog.latitude_rad), np.degrees(catalog.longitude_rad)
     east = (longitude + 180.0) % 360.0 - 180.0
-    if len(catalog) < _MIN_PLACES or not _AROUND < np.ptp(east) < 2.0 * math.pi + _DIGIT:
-        return []
+    west, far = float(east.min()), float(east.max())
+    around = (west >= -_DIGIT and far <= 2.0 * math.pi + _DIGIT) or max(-west, far) <= math.pi + _DIGIT
     south, north = float(latitude.min()), float(latitude.max())
     highest = 0.5 * math.pi + _DIGIT
-    if not (-highest < south < -_NEAR_POLES and _NEAR_POLES < north < highest):
+    if (
+        not around
+        or far - west < _AROUND
+        or not (-highest < south < -_NEAR_POLES and _NEAR_POLES < north < highest)
+    ):
+        return []
+    # On a whole body few craters are near the poles; in a small region their density is even. This is the
+    # logarithm of the ratio of both densities.
+    density = np.log(np.maximum(0.5 * np.cos(latitude), _DIGIT) * (north - south))
+    if density.mean() < _EVEN_DENSITY:
         return []
     return [
-        f"the catalogue's latitudes are {south:.3g} to {north:.3g} deg, its longitudes {east.min():.3g} to "
-        f"{east.max():.3g} deg: expected degrees, are they in radians?"
+        f"the catalogue's latitudes are {south:.3g} to {north:.3g} deg, its longitudes {west:.3g} to "
+        f"{far:.3g} deg: expected degrees, are they in radians?"
     ]

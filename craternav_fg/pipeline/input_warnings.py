@@ -23,6 +23,8 @@ _MAX_LISTED = 5
 _MIN_FROZEN_ROWS, _MAX_REPEATED_SHARE = 20, 0.02
 # Rows in a row at the limit of a sensor's range: at least so many, and times as many as of any other value.
 _MIN_SATURATED_ROWS, _SATURATED_OVER_OTHERS = 6, 3
+# Different values between the limits of an axis that measures something.
+_MIN_VALUES = 10
 # No lander carries a sensor farther than this from its body origin.
 _MAX_LEVER_ARM_M = 50.0
 # Lever arms of cameras on landers are of this order: one that was left out shows in smaller errors than that.
@@ -94,22 +96,29 @@ def saturated_imu(imu: ImuLog | None) -> list[str]:
     -------
     list of str
     """
-    if imu is None:
+    if imu is None or not len(imu.stamps_ns):
         return []
     found = []
     names = (*layout.GYRO, *layout.ACCELEROMETER)
     units = (*3 * ["rad/s"], *3 * ["m/s^2"])
     columns = np.concatenate([imu.gyro_rad_s, imu.accelerometer_m_s2], axis=1).T
     for name, unit, values in zip(names, units, columns, strict=True):
+        least, most = float(values.min()), float(values.max())
+        inside = values[(values > least) & (values < most)]
+        # Of few values, as of a coarse log at rest, two are the largest and the smallest.
+        if len(np.unique(inside)) < _MIN_VALUES:
+            continue
         # Runs of equal values.
         begins = np.concatenate([[0], np.flatnonzero(values[1:] != values[:-1]) + 1])
         lengths = np.diff(np.append(begins, len(values)))
-        for which, limit in (("largest", values.max()), ("smallest", values.min())):
+        # Logs without noise, and coarse ones, repeat other values as well.
+        within = (values[begins] > least) & (values[begins] < most)
+        other = int(lengths[within].max())
+        # A sensor's range reaches beyond zero: what stays there measures nothing.
+        for which, limit in (("largest", max(most, 0.0)), ("smallest", min(least, 0.0))):
             there = values[begins] == limit
-            longest = int(lengths[there].max())
-            # Logs without noise, and coarse ones, repeat other values as well.
-            other = int(lengths[~there].max(initial=1))
-            if longest >= max(_MIN_SATURATED_ROWS, _SATURATED_OVER_OTHERS * other) and not there.all():
+            longest = int(lengths[there].max(initial=0))
+            if limit != 0.0 and longest >= max(_MIN_SATURATED_ROWS, _SATURATED_OVER_OTHERS * other):
                 rows = int(lengths[there].sum())
                 found.append(
                     f"imu: {name} is at its {which} value, {limit:.6g} {unit}, in {rows} rows, {longest} of "

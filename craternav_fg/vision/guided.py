@@ -222,7 +222,9 @@ class GuidedFrontEnd:
         rims = RimSet(rows, charts[keep], covariance, fitted.quality.take(keep), *kept)
         if not (self.catalog.errors is None or self.catalog.errors.exact):
             slopes = in_plane_slopes(rows, pose, self.camera, self.catalog)
-            rims = rims.scaled(shape_variance_factors(residual[keep], covariance, slopes))
+            factors = shape_variance_factors(residual[keep], covariance, slopes)
+            stated = self.catalog.errors.variances(np.ones(len(self.catalog)))[rows].any(axis=1)
+            rims = rims.scaled(np.where(stated, factors, 1.0))
         return _Result(rims, pose, spread, expected)
 
     def _arcs(self, frame: _Frame, fitter: RimFitter, result: _Result) -> ArcSet:

@@ -56,12 +56,12 @@ class GuidedOptions:
         Minimum share of the normals with an edge in these searches. With that of the first search, a third of
         the rims would drop out, hardly worse than the others.
     searches : int
-        Where the catalogue states errors, from how many places each rim is searched: the predicted one, and
-        others around it.
+        Where the catalogue states errors and `recentrings` is not 0, from how many places each rim is
+        searched: where it was found first, and others around it.
     search_sigmas : float
         Distance of these from it, in standard deviations of the rim's place on the map.
     least_searches : int
-        Number of the searches that must find a rim.
+        Number of the searches that must find a rim; at most all of them.
     gate_probability : float
         Probability with which a correct rim passes the chi-square gate.
     full_arc_share : float
@@ -80,6 +80,11 @@ class GuidedOptions:
         Options of the sun's tilt.
     points : PointTrackOptions
         Options of points tracked from image to image; none by default.
+
+    Raises
+    ------
+    ValueError
+        When `searches` or `least_searches` is not positive.
     """
 
     min_semi_minor_px: float = 12.0
@@ -113,6 +118,11 @@ class GuidedOptions:
     arcs: ArcOptions = field(default_factory=ArcOptions)
     sun: SunOptions = field(default_factory=SunOptions)
     points: PointTrackOptions = field(default_factory=PointTrackOptions)
+
+    def __post_init__(self) -> None:
+        for name in ("searches", "least_searches"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: expected 1 or more, found {getattr(self, name)}")
 
 
 # For single images: shared errors matter where they do not average out over frames. In one image the

@@ -8,6 +8,7 @@ import pytest
 from craternav_fg.dataset import Dataset
 from craternav_fg.estimators.base import Descent
 from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.frames import rotation_exp
 from craternav_fg.pipeline.prior_check import _ASKED, sigma_factor
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
@@ -78,6 +79,43 @@ def test_single_frames_do_not_count_against_it(data: Dataset) -> None:
     assert sigma_factor(descent, stale[:2] + frames[2:]) == 1.0
     assert sigma_factor(descent, stale[:2]) == 1.0
     assert sigma_factor(descent, stale) > 3.0
+
+
+def test_what_the_map_has_in_common_is_not_blamed_on_it(data: Dataset) -> None:
+    """A catalogue without heights, whose ground is a standard deviation higher."""
+    assert data.initial is not None
+    assert data.truth is not None
+    known = replace(data.initial, gTb=data.truth.gTb[0], position_sigma_m=100.0, attitude_sigma_rad=1e-3)
+    catalog = data.catalog
+    silent = replace(catalog, has_heights=False)
+    lower = replace(silent, height_m=catalog.height_m - silent.unknown_height_sigma_m)
+    frames = list(data.measurements or ())
+    descent = replace(Descent.of(data), initial=known)
+    assert sigma_factor(replace(descent, catalog=lower), frames) == 1.0
+    exact = replace(lower, has_heights=True)
+    assert sigma_factor(replace(descent, catalog=exact), frames) > 3.0
+
+
+def test_a_wide_attitude_bends_the_path_before_late_rims(data: Dataset) -> None:
+    """The thrust then points elsewhere by so much that the position is off in the second order."""
+    assert data.initial is not None
+    assert data.truth is not None
+    rng = np.random.default_rng(8)
+    late = 35
+    frames = [
+        frame if k >= late else replace(frame, rims=frame.rims.take(np.arange(0)))
+        for k, frame in enumerate(data.measurements or ())
+    ]
+    for _ in range(6):
+        turn = 0.436 * rng.normal(size=3)
+        gTb = data.truth.gTb[0].copy()
+        gTb[:3, :3] = gTb[:3, :3] @ rotation_exp(turn)
+        gTb[:3, 3] += 100.0 * rng.normal(size=3)
+        known = replace(
+            data.initial, gTb=gTb, attitude_sigma_rad=0.436, position_sigma_m=100.0, velocity_sigma_m_s=1.0,
+            gV=data.truth.gV[0] + rng.normal(size=3),
+        )  # fmt: skip
+        assert sigma_factor(replace(Descent.of(data), initial=known), frames) == 1.0
 
 
 def test_too_few_rims_do_not_tell(data: Dataset) -> None:

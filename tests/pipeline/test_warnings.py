@@ -131,6 +131,19 @@ def test_a_saturated_imu_is_told(digit: float) -> None:
     rows = int(np.sum(force[:, 0] >= 2.5))
     assert f"a_RS_S_x is at its largest value, 2.5 m/s^2, in {rows} rows, {rows} of them in a row" in above
     assert "a_RS_S_y is at its smallest value, -1 m/s^2" in below
+    # At both ends, as in a tumble.
+    swing = np.clip(2.0 * np.sin(1.5 * time_s) + log.gyro_rad_s[:, 0], -1.0, 1.0)
+    tumbling = dataclasses.replace(log, gyro_rad_s=swing[:, None] * [1.0, 0.1, 0.0])
+    found = [text.split(" is ")[0] for text in input_warnings.saturated_imu(tumbling)]
+    assert found == 2 * ["imu: w_RS_S_x"] + 2 * ["imu: w_RS_S_y"]
+    # Two digits, of which one is rare; a coast before a burn; no rows.
+    rare = np.where(np.arange(2000) % 300 == 0, 1e-3, 0.0)[:, None] * np.ones(3)
+    burn = np.where(time_s < 6.0, 0.0, 1.5 + 0.01 * time_s)[:, None] * np.ones(3)
+    for rows in (rare, rare - 1e-3, burn):
+        assert input_warnings.saturated_imu(dataclasses.replace(log, accelerometer_m_s2=rows)) == []
+    assert (
+        input_warnings.saturated_imu(ImuLog(log.stamps_ns[:0], swing[:0, None] * np.ones(3), rare[:0])) == []
+    )
     # Thrust without noise, on and off, and an axis that measures nothing.
     steps = np.where((time_s > 5.0) & (time_s < 9.0), 2.5, 0.0)[:, None] * [1.0, 1.0, 0.0]
     assert input_warnings.saturated_imu(dataclasses.replace(log, accelerometer_m_s2=steps)) == []
@@ -138,7 +151,7 @@ def test_a_saturated_imu_is_told(digit: float) -> None:
 
 def test_places_in_radians_are_told() -> None:
     rng = np.random.default_rng(4)
-    n = 60
+    n = 200
     latitude, longitude = np.arcsin(rng.uniform(-1.0, 1.0, n)), rng.uniform(0.0, 2.0 * np.pi, n)
     names, size = tuple(f"C{k}" for k in range(n)), np.full(n, 500.0)
 
@@ -153,6 +166,10 @@ def test_places_in_radians_are_told() -> None:
     # A region of a few degrees, and one around the whole body near its equator.
     assert told(0.5 * latitude, longitude) == told(latitude + 0.2, longitude) == []
     assert told(latitude, 0.5 * longitude) == told(latitude, np.degrees(longitude)) == []
+    # Regions of even density, elsewhere and where radians would be.
+    even = rng.uniform(-1.55, 1.55, n)
+    for begin in (24.0, 0.0, -3.1, 177.0):
+        assert told(even, begin + longitude) == []
 
 
 def test_craters_that_the_catalogue_has_twice_are_told() -> None:

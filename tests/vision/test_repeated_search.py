@@ -63,6 +63,12 @@ def fitted(rims, rows, charts):
     return FittedRims(rims.take(np.array(rows, dtype=np.int64)), charts, errors, quality)
 
 
+@pytest.mark.parametrize("name", ["searches", "least_searches"])
+def test_no_search_at_all_is_refused(name):
+    with pytest.raises(ValueError, match=f"{name}: expected 1 or more, found 0"):
+        GuidedOptions(**{name: 0})
+
+
 def test_means_have_the_scatter_of_the_searches_in_their_errors(rims):
     rng = np.random.default_rng(2)
     charts = rng.normal(size=(4, 3, 5))
