@@ -171,6 +171,11 @@ class RimSet:
             *(None if part is None else part[rows] for part in parts),
         )  # fmt: skip
 
+    def matched_once(self) -> "RimSet":
+        """Leave out rims of one crater: of two, nothing tells which is the wrong match."""
+        _, first, count = np.unique(self.craters, return_index=True, return_counts=True)
+        return self.take(np.sort(first[count == 1]))
+
     @property
     def kept(self) -> tuple[FloatArray | None, FloatArray | None, FloatArray | None]:
         """Roots (n, 5, m) of what is not white of the error: `correlated`, `of_map` and `shared`."""

@@ -170,9 +170,7 @@ def _attitudes(problem: Problem) -> list[tuple[int, FloatArray]]:
     """Stamps of some frames spread over a descent, and their attitudes gRb by their rims alone."""
     enough = []
     for frame in problem.frames:
-        # Of two rims of one crater, nothing tells here which is the wrong match.
-        _, first, count = np.unique(frame.rims.craters, return_index=True, return_counts=True)
-        rims = frame.rims.take(np.sort(first[count == 1]))
+        rims = frame.rims.matched_once()
         if len(rims) >= _POSE_RIMS:
             enough.append(replace(frame, rims=rims))
     out = []

@@ -4,6 +4,7 @@ With standard deviations that are too small the initial state outweighs the rims
 estimates are wrong without a sign of it in their covariances.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -42,22 +43,17 @@ def sigma_factor(descent: Descent, frames: Sequence[FrameMeasurement]) -> float:
         1 where the first frames that have a pose of their own do not contradict the initial state, or where
         fewer than three have one.
     """
+    enough = (k for k, frame in enumerate(frames) if len(frame.rims.matched_once()) >= _POSE_RIMS)
+    asked = list(itertools.islice(enough, _ASKED))
+    if len(asked) < _LEAST_FRAMES:
+        return 1.0
+    states = filter_state.propagated_prior(descent, frames[: asked[-1] + 1])
     distances2: list[float] = []
-    asked = 0
-    for index, frame in enumerate(frames):
-        # Of two rims of one crater, nothing tells here which is the wrong match.
-        _, first, count = np.unique(frame.rims.craters, return_index=True, return_counts=True)
-        alone = np.sort(first[count == 1])
-        if len(alone) < _POSE_RIMS:
-            continue
-        predicted = filter_state.propagated_prior(descent, frames[: index + 1])[-1]
-        expected = predicted.covariance[POSE, POSE] + _of_attitude(descent, frame.stamp_ns)
-        rims = frame.rims.take(alone)
-        nearest2 = _nearest2(descent, replace(frame, rims=rims), predicted.gTb, expected)
+    for k in asked:
+        frame = replace(frames[k], rims=frames[k].rims.matched_once())
+        expected = states[k].covariance[POSE, POSE] + _of_attitude(descent, frame.stamp_ns)
+        nearest2 = _nearest2(descent, frame, states[k].gTb, expected)
         distances2 += [] if nearest2 is None else [nearest2]
-        asked += 1
-        if asked == _ASKED:
-            break
     if len(distances2) < _LEAST_FRAMES or np.median(distances2) < CONTRADICTION_CHI2:
         return 1.0
     return float(np.sqrt(np.median(distances2) / 6.0))

@@ -223,7 +223,7 @@ class GuidedFrontEnd:
         if not (self.catalog.errors is None or self.catalog.errors.exact):
             slopes = in_plane_slopes(rows, pose, self.camera, self.catalog)
             factors = shape_variance_factors(residual[keep], covariance, slopes)
-            stated = self.catalog.errors.variances(np.ones(len(self.catalog)))[rows].any(axis=1)
+            stated = self.catalog.errors.take(rows).variances(np.ones(len(rows))).any(axis=1)
             rims = rims.scaled(np.where(stated, factors, 1.0))
         return _Result(rims, pose, spread, expected)
 
