@@ -224,7 +224,7 @@ class RimSet:
             self.craters, self.chart, covariance, self.quality, correlated, of_map, shared, fused
         )  # fmt: skip
 
-    def inflate_correlated(self, factor: float) -> "RimSet":
+    def inflate_correlated(self, factor: float | FloatArray, of_shared: float | None = None) -> "RimSet":
         """Treat the correlated parts of the error as white, with their variance multiplied by a factor.
 
         An estimator that has no variables for them would average them out over the frames that show a crater;
@@ -233,15 +233,18 @@ class RimSet:
 
         Parameters
         ----------
-        factor : float
-            Variance inflation of the correlated parts.
+        factor : float or ndarray, shape (n,)
+            Variance inflation of the correlated parts, for all rims or for each.
+        of_shared : float, optional
+            That of the part which all rims share, if it is another.
         """
         if self.fused_white is None and all(A is None for A in self.kept):
             return self
+        own = np.broadcast_to(factor, len(self))[:, None, None]
         out = self.fused_white_covariance
-        for A in self.kept:
+        for A, f in ((self.correlated, own), (self.of_map, own), (self.shared, of_shared or own)):
             if A is not None:
-                out = out + factor * A @ np.swapaxes(A, 1, 2)
+                out = out + f * A @ np.swapaxes(A, 1, 2)
         return RimSet(self.craters, self.chart, out, self.quality)
 
     def scaled(self, factors: FloatArray) -> "RimSet":

@@ -77,6 +77,13 @@ def test_estimators_that_fuse_frames_take_more_white_variance_than_rims_state() 
     assert_allclose(rims.fused_white_covariance, factors[:, None, None] * own, rtol=1e-9)
     inflated = rims.inflate_correlated(4.0)
     assert_allclose(inflated.covariance, factors[:, None, None] * own + 4.0 * kept, rtol=1e-9)
+    each, of_shared = np.array([1.0, 2.0, 5.0]), 9.0
+    own_kept = root[:, :, :13] @ np.swapaxes(root[:, :, :13], 1, 2)
+    of_all = factors[:, None, None] * own + each[:, None, None] * own_kept
+    assert_allclose(
+        rims.inflate_correlated(each, of_shared).covariance,
+        of_all + of_shared * shared @ np.swapaxes(shared, 1, 2), rtol=1e-9,
+    )  # fmt: skip
     # Once it is in the covariance it is not applied again.
     assert_allclose(inflated.inflate_correlated(4.0).covariance, inflated.covariance, rtol=1e-12)
     # It stays with its rim, whatever is done to them before.

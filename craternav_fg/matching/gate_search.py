@@ -16,31 +16,23 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri, comb
 
-from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import mean_radius, relative_covariance
-from craternav_fg.linalg import bisecting_triads, scaled_inverse, squared_distance
+from craternav_fg.linalg import bisecting_triads, scaled_inverse
+from craternav_fg.matching import pair_kernel
 from craternav_fg.matching.expanded_pose import ExpandedPose, Tried
-from factors.arrays import BoolArray, FloatArray, IntArray
+from craternav_fg.matching.pair_kernel import AREA_PER_RANGE, CENTRE_ERROR_RAD, LOG_AREA_ERROR, Directions
+from factors.arrays import FloatArray, IntArray
 from factors.kernels import conic, rim_poses
 
 # Elements of an ellipse chart.
 COMPONENTS = 5
-# Errors of a hypothesis' geometry beside noise and prior: an ellipse's centre is not the image of the
-# crater's (rad), and its area follows from the crater's only for a small crater (logarithm).
-_CENTRE_ERROR_RAD, _LOG_AREA_ERROR = 0.01, 0.15
-# Factor on what a wrong position changes in the logarithm of an area: areas fall with the squared range.
-_AREA_PER_RANGE = 2.0
 # Craters farther than this times the range at which they would be as large as the smallest rim are ignored.
 _REACH_FACTOR = 3.0
 # Margin on the image's bounds in normalised coordinates.
 _BORDER_FACTOR = 1.05
-# Minimum separation of two rims, rad, that counts for the accuracy of the roll that they give.
-_MIN_SEPARATION_RAD = 0.05
-# Two rims, or two craters, that are nearer to each other, rad, are one: no attitude follows from them.
-_LEAST_SEPARATION_RAD = 1e-6
 # Rounds in which an expanded pose is re-estimated.
 _MAX_EXPANSIONS = 4
 # Rounds of line of sight and range: each depends on the other when the prediction is poor.
@@ -139,6 +131,12 @@ class GateSearch:
         ray = np.column_stack([self.charts[:, :2], np.ones(len(charts))])
         self._ray = ray / np.linalg.norm(ray, axis=1, keepdims=True)
         self._log_solid = self.charts[:, 2] + self.charts[:, 4] + 3.0 * np.log(self._ray[:, 2])
+        self._directions = Directions(
+            self._ray, self._log_solid, self._sight @ self._gTc[:3, :3], self._range_m,
+            self._log_solid_of_craters,
+        )  # fmt: skip
+        self._attitude_variances, axes = np.linalg.eigh(pose_covariance[:3, :3])
+        self._axes_of_attitude = self._bTc[:3, :3].T @ axes
 
     def _craters_in_reach(self, catalog: Catalog) -> tuple[IntArray, float, float]:
         """Rows that the image may show; largest errors of attitude, rad, and position, m."""
@@ -200,29 +198,30 @@ class GateSearch:
         seeds = possible[: self.options.seeds]
         comparisons = max(len(self.charts) * len(self.rows), 1)
         most = min(self.options.hypotheses, max(int(_MOST_COMPARISONS / comparisons), _CHUNK))
-        pair, gRc, cost = np.empty((0, 4), dtype=np.int64), np.empty((0, 3, 3)), np.empty(0)
+        pair, cost = np.empty((0, 4), dtype=np.int64), np.empty(0)
         for some in _pairs_of_seeds(seeds, allowed):
-            more = self._attitudes(some)
-            pair, gRc, cost = (np.concatenate(both) for both in zip((pair, gRc, cost), more, strict=True))
+            more = self._near(some)
+            pair, cost = (np.concatenate(both) for both in zip((pair, cost), more, strict=True))
             if len(cost) > most:
                 order = np.sort(np.argsort(cost, kind="stable")[:most])
-                pair, gRc, cost = pair[order], gRc[order], cost[order]
-        order = np.argsort(cost, kind="stable")
-        return pair[order], self._starts(pair[order], gRc[order]), len(possible)
+                pair, cost = pair[order], cost[order]
+        pair = pair[np.argsort(cost, kind="stable")]
+        return pair, self._starts(pair), len(possible)
 
     def _allowed_craters(self, rim: int) -> IntArray:
         """Rows of the craters, among those of the search, that the prediction allows for a rim."""
         off = np.abs(self._log_solid[rim] - self._log_solid_of_craters)
-        off_limit = _AREA_PER_RANGE * (_LOG_AREA_ERROR + self._position_m / np.maximum(self._range_m, 1.0))
+        off_limit = AREA_PER_RANGE * (LOG_AREA_ERROR + self._position_m / np.maximum(self._range_m, 1.0))
         chord = np.linalg.norm(self._gTc[:3, :3] @ self._ray[rim] - self._sight, axis=1)
-        aside = self._turn_rad + self._position_m / self._range_m + _CENTRE_ERROR_RAD
+        aside = self._turn_rad + self._position_m / self._range_m + CENTRE_ERROR_RAD
         allowed = np.flatnonzero((off < off_limit) & (2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) < aside))
         if len(allowed) > _MOST_CRATERS:
             allowed = np.sort(allowed[np.argsort(chord[allowed], kind="stable")[:_MOST_CRATERS]])
         return allowed
 
-    def _starts(self, pairs: IntArray, gRc: FloatArray) -> FloatArray:
-        """Compute initial poses gTb (h, 4, 4) from camera attitudes (h, 3, 3); sizes give the ranges."""
+    def _starts(self, pairs: IntArray) -> FloatArray:
+        """Compute initial poses gTb (h, 4, 4): sizes give ranges; for a single rim the predicted attitude."""
+        gRc = np.tile(self._gTc[:3, :3], (len(pairs), 1, 1))
         rims, craters = pairs[:, ::2], pairs[:, 1::2]
         centres, toward = self._centres[craters], self._ray[rims]
         gPc = np.tile(self._gTc[:3, 3], (len(pairs), 1))
@@ -241,52 +240,20 @@ class GateSearch:
         start[:, :3, 3] = gPc - start[:, :3, :3] @ self._bTc[:3, 3]
         return start
 
-    def _attitudes(self, pairs: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Pairs (h, 4) of rim and crater, twice, the camera's attitudes (h, 3, 3), and their costs (h,).
+    def _near(self, pairs: IntArray) -> tuple[IntArray, FloatArray]:
+        """Pairs (h, 4) of rim and crater, twice, near the predicted attitude, and their costs (h,).
 
         The cost is the squared distance from the predicted attitude; pairs whose angles or sizes do not agree
-        and those beyond its gate are left out. A single rim is paired with itself.
+        and those beyond its gate are left out. A single rim is paired with itself, and keeps that attitude.
         """
-        position2 = (self._position_m / self._sigmas) ** 2
-        single = bool(len(pairs)) and pairs[0, 0] == pairs[0, 2]
-        if not single:
-            pairs = pairs[self._agree(pairs)]
-        i, m, j, k = pairs.T
-        if single:
-            gRc = np.tile(self._gTc[:3, :3], (len(m), 1, 1))
-        else:
-            toward = bisecting_triads(self._ray[i], self._ray[j])
-            gRc = bisecting_triads(self._sight[m], self._sight[k]) @ np.swapaxes(toward, 1, 2)
-        gRb = gRc @ self._bTc[:3, :3].T
-        turn = frames.rotation_log(self.prior[:3, :3].T @ gRb).reshape(-1, 3)
-        slack = position2 / np.minimum(self._range_m[m], self._range_m[k]) ** 2 + _CENTRE_ERROR_RAD**2
-        if not single:
-            # Two rims close together determine the roll poorly.
-            apart = np.linalg.norm(self._ray[i] - self._ray[j], axis=1)
-            slack = slack / np.maximum(apart, _MIN_SEPARATION_RAD) ** 2
-        spread = self.covariance[:3, :3] + slack[:, None, None] * np.eye(3)
-        cost = squared_distance(turn, spread)
+        if len(pairs) and pairs[0, 0] == pairs[0, 2]:
+            return pairs, np.zeros(len(pairs))
+        cost = pair_kernel.costs_of_pairs(
+            pairs, self._directions, self._axes_of_attitude, self._attitude_variances, self._position_m,
+            self._position_m / self._sigmas,
+        )  # fmt: skip
         near = cost < chdtri(3, 1.0 - self.options.probability)
-        return pairs[near], gRc[near], cost[near]
-
-    def _agree(self, pairs: IntArray) -> BoolArray:
-        """Whether angular separation and ratio of sizes of two craters agree with those of their rims."""
-        i, m, j, k = pairs.T
-        between = np.linalg.norm(self._sight[m] - self._sight[k], axis=1)
-        seen = np.linalg.norm(self._ray[i] - self._ray[j], axis=1)
-        # A wrong position changes the separation by the difference of the parallaxes, and the ratio of the
-        # sizes likewise.
-        parallax = np.linalg.norm(
-            self._sight[m] / self._range_m[m, None] - self._sight[k] / self._range_m[k, None], axis=1
-        )
-        limit = self._position_m * (parallax + between / np.minimum(self._range_m[m], self._range_m[k]))
-        off = self._log_solid[i] - self._log_solid[j]
-        off = off - (self._log_solid_of_craters[m] - self._log_solid_of_craters[k])
-        off_limit = _AREA_PER_RANGE * (_LOG_AREA_ERROR + self._position_m * parallax)
-        # Two craters in one direction, such as one that the catalogue has twice, give no attitude.
-        apart = (m != k) & (between > _LEAST_SEPARATION_RAD) & (seen > _LEAST_SEPARATION_RAD)
-        near = np.abs(between - seen) < limit + 2.0 * _CENTRE_ERROR_RAD
-        return np.asarray(apart & near & (np.abs(off) < off_limit))
+        return pairs[near], cost[near]
 
     def _solve(
         self, starts: FloatArray, craters: IntArray, rims: IntArray

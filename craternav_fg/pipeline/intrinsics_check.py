@@ -143,9 +143,14 @@ def _fits(
     # A wrong match may be with a crater beyond the horizon, or with that of another rim.
     seen = [(rims.take(_in_sight(rims, pose, camera, catalog) & _alone(rims)), pose) for rims, pose in each]
     seen = [(rims, pose) for rims, pose in seen if len(rims) >= _MIN_RIMS]
+    shown = np.bincount(
+        np.concatenate([rims.craters for rims, _ in seen] or [np.empty(0, np.int64)]), minlength=len(catalog)
+    )
     for rims, pose in seen:
-        # What craters keep, as errors of the map, is the same in all frames: a mean does not average it out.
-        matched = MatchedRims.of(rims.inflate_correlated(len(seen)), catalog)
+        # What a crater keeps, as errors of the map, is the same in all frames that show it, and what all rims
+        # share in all frames: a mean does not average it out.
+        alike = rims.inflate_correlated(shown[rims.craters].astype(np.float64), of_shared=len(seen))
+        matched = MatchedRims.of(alike, catalog)
         problem = ResectionProblem(matched, camera.bTc)
         try:
             fit = fit_intrinsics(problem, pose, prior)
