@@ -246,7 +246,13 @@ class Reconstruction:
             images=self.predicted is not None,
             motion=descent.motion is not None,
         )
-        of_detected = input_warnings.deviating_intrinsics(self.detected_intrinsics)
+        of_camera = (
+            *warnings.contradicted_intrinsics(self._contradicted(contradicted_intrinsics)),
+            *input_warnings.deviating_intrinsics(self.detected_intrinsics),
+            *warnings.contradicted_lens(self._contradicted(contradicted_lens)),
+        )
+        # What has a cause of its own does not speak against the map.
+        explained = bool(of_camera) or bool(self.mistake)
         return (
             *warnings.failed_estimators(self.failures),
             *warnings.contradicted_without_rims(FILTER, self._without_rims()),
@@ -256,9 +262,7 @@ class Reconstruction:
             *warnings.inconsistent_trajectories(self.outlier_shares, self._rim_mistake),
             *warnings.contradicted_prior(*self._prior(), self._displaced()),
             *of_sensors,
-            *warnings.contradicted_intrinsics(self._contradicted(contradicted_intrinsics)),
-            *of_detected,
-            *warnings.contradicted_lens(self._contradicted(contradicted_lens)),
+            *of_camera,
             *input_warnings.long_lever_arms(
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
             ),
@@ -289,7 +293,7 @@ class Reconstruction:
             ),
             *catalog_warnings.assumed_map_errors(self.map_errors),
             *catalog_warnings.unstated_map_errors(
-                descent.catalog, self._contradicts_the_map() and not of_detected, self._tenth_px_m()
+                descent.catalog, self._contradicts_the_map() and not explained, self._tenth_px_m()
             ),
         )
 
