@@ -26,14 +26,15 @@ class Directions(NamedTuple):
     Attributes
     ----------
     rays : ndarray, shape (n, 3)
-        Unit vectors towards the rims.
+        Unit vectors towards the rims, in the predicted camera frame.
     log_solid : ndarray, shape (n,)
-        Logarithms of their solid angles, over pi.
+        Logarithms of their solid angles over pi, dimensionless.
     sights : ndarray, shape (m, 3)
-        Unit vectors towards the craters.
+        Unit vectors towards the craters, in the predicted camera frame.
     range_m : ndarray, shape (m,)
         Distances of the craters.
     log_solid_of_craters : ndarray, shape (m,)
+        The same of the craters.
     """
 
     rays: FloatArray
@@ -58,7 +59,7 @@ def costs_of_pairs(
     axes : ndarray, shape (3, 3)
         Principal axes of the covariance of the predicted attitude, in the camera frame, as columns.
     variances : ndarray, shape (3,)
-        Along them, rad^2.
+        Along these axes of the camera frame, rad^2.
     position_m, position_sigma_m : float
         Largest error of the predicted position, and its standard deviation.
 

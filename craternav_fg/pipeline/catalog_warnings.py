@@ -13,6 +13,7 @@ from craternav_fg.pipeline.input_warnings import listed
 
 if TYPE_CHECKING:
     # The commands for one image name their mounting here, and detect nothing.
+    from craternav_fg.pipeline.map_scale import Growth
     from craternav_fg.resection.map_variances import EstimatedErrors
 
 # Share by which gravity and spin of a known body may differ from what is known: sources differ by less.
@@ -23,6 +24,8 @@ _LARGE_BODY_M, _MIN_HEIGHTS, _LOW_HEIGHT_M = 1e5, 8, 12.0
 # So many craters that come so near to both poles, and reach so far around the body, in radians, but not
 # beyond by more than a digit.
 _MIN_PLACES, _NEAR_POLES, _AROUND, _DIGIT = 20, 1.1, 5.5, 1e-3
+# Growth of rims, in standard deviations, that is told. On right data it was within 1.2.
+_MAX_GROWTH_SIGMAS = 6.0
 # Logarithm of the ratio of densities, halfway between its means: 0.1 on a whole body, -0.24 in a region.
 _EVEN_DENSITY = -0.07
 
@@ -101,6 +104,29 @@ def heights_in_km(catalog: Catalog) -> list[str]:
     return [
         f"RIM_HEIGHT_M of the catalogue is at most {highest_m:.2g} m above or below the sphere: expected "
         "metres, is it in kilometres?"
+    ]
+
+
+def scaled_map(growth: "Growth | None") -> list[str]:
+    """Warn of rims whose sizes contradict the distances between them.
+
+    Parameters
+    ----------
+    growth : Growth or None
+        See `map_scale.growth_of_rims`.
+
+    Returns
+    -------
+    list of str
+    """
+    if growth is None or abs(growth.share) < _MAX_GROWTH_SIGMAS * growth.sigma_share:
+        return []
+    percent, sigma = 100.0 * abs(growth.share), 100.0 * growth.sigma_share
+    return [
+        f"the rims are {percent:.2g} +- {sigma:.1g} % {'larger' if growth.share > 0.0 else 'smaller'} than "
+        "their craters from where the distances between them put the camera: check the scale of the "
+        "catalogue's places (the radius and the projection that they were made with) and its diameters; "
+        "if the places are wrong, so are the distances to the ground, by as much"
     ]
 
 

@@ -26,6 +26,7 @@ from craternav_fg.pipeline import catalog_warnings, input_warnings, warnings
 from craternav_fg.pipeline.detected_intrinsics import DetectedIntrinsics
 from craternav_fg.pipeline.displacement import displacement
 from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
+from craternav_fg.pipeline.map_scale import Growth, growth_of_rims
 from craternav_fg.pipeline.rim_mistakes import likely_rim_mistake
 from craternav_fg.resection.map_variances import EstimatedErrors
 from craternav_fg.trajectory import Trajectory
@@ -207,6 +208,13 @@ class Reconstruction:
         descent, near = self.problems[0], next(iter(self.trajectories.values()))
         return check(self.frames, near.gTb, descent.camera, descent.catalog)
 
+    def _growth_of_rims(self) -> Growth | None:
+        """How much larger rims are than their craters; None without a smoother."""
+        descent, smoothed = self.problems[0], self.trajectories.get(SMOOTHER)
+        if smoothed is None:
+            return None
+        return growth_of_rims(self.frames, smoothed.gTb, descent.camera, descent.catalog)
+
     def _rim_mistake(self) -> str:
         """Name what explains rims that contradict each other; empty for those measured in images."""
         return likely_rim_mistake(self.problems[0]) if self.predicted is None else ""
@@ -251,8 +259,9 @@ class Reconstruction:
             *input_warnings.deviating_intrinsics(self.detected_intrinsics),
             *warnings.contradicted_lens(self._contradicted(contradicted_lens)),
         )
+        of_scale = catalog_warnings.scaled_map(self._growth_of_rims())
         # What has a cause of its own does not speak against the map.
-        explained = bool(of_camera) or bool(self.mistake)
+        explained = bool(of_camera or of_scale or self.mistake)
         return (
             *warnings.failed_estimators(self.failures),
             *warnings.contradicted_without_rims(FILTER, self._without_rims()),
@@ -270,6 +279,7 @@ class Reconstruction:
             *catalog_warnings.unusual_body(descent.catalog),
             *catalog_warnings.heights_in_km(descent.catalog),
             *catalog_warnings.angles_in_radians(descent.catalog),
+            *of_scale,
             *input_warnings.unknown_sensors(self.ignored),
             *input_warnings.dead_imu(None if descent.motion is not None else descent.imu),
             *input_warnings.saturated_imu(None if descent.motion is not None else descent.imu),

@@ -1,0 +1,67 @@
+"""Whether the sizes of rims agree with the distances between them: the scale of the catalogue's places."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.measurements import FrameMeasurement
+from factors.arrays import FloatArray
+from factors.kernels.conic import project_rims
+
+# Fewer rims do not show how far their sizes scatter.
+_MIN_RIMS = 30
+# Squared distance of a size beyond which a rim is another crater's.
+_OUTLIER2 = 25.0
+# Logarithm of a rim's size in its chart.
+_SIZE = np.array([0.0, 0.0, 0.5, 0.0, 0.5])
+
+
+class Growth(NamedTuple):
+    """How much larger rims are than their craters from where a trajectory sees them: a share."""
+
+    share: float
+    sigma_share: float
+
+
+def growth_of_rims(
+    frames: Sequence[FrameMeasurement], gTb: FloatArray, camera: Camera, catalog: Catalog
+) -> Growth | None:
+    """Compare the sizes of rims with those of their craters from the poses of a smoother.
+
+    Where several craters are in view the distances between them tell the camera's altitude far better than
+    their sizes do.
+
+    Parameters
+    ----------
+    frames : sequence of FrameMeasurement
+    gTb : ndarray, shape (k, 4, 4)
+        Poses of the body in g, m.
+    camera : Camera
+    catalog : Catalog
+
+    Returns
+    -------
+    Growth or None
+        None with few rims.
+    """
+    every = [frame.rims.craters for frame in frames]
+    shown = np.bincount(np.concatenate([*every, np.empty(0, np.int64)]), minlength=len(catalog))
+    growths, variances = list[FloatArray](), list[FloatArray]()
+    for frame, pose in zip(frames, np.ascontiguousarray(gTb), strict=True):
+        rims, rows = frame.rims, frame.rims.craters
+        charts, visible = project_rims(pose, camera.bTc, catalog.centres[rows], catalog.axes[rows])
+        # What a crater keeps is the same in all frames that show it, what rims share in all frames.
+        alike = rims.inflate_correlated(shown[rows].astype(np.float64), of_shared=len(frames))
+        growth, variance = (rims.chart - charts) @ _SIZE, _SIZE @ alike.covariance @ _SIZE
+        kept = visible & (growth**2 < _OUTLIER2 * variance)
+        growths.append(growth[kept])
+        variances.append(variance[kept])
+    growth, weights = np.concatenate(growths), 1.0 / np.concatenate(variances)
+    if len(growth) < _MIN_RIMS:
+        return None
+    mean = float(weights @ growth / weights.sum())
+    scatter = float(np.mean(weights * (growth - mean) ** 2))
+    return Growth(mean, float(np.sqrt(max(scatter, 1.0) / weights.sum())))
