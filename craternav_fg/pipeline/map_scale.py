@@ -63,5 +63,8 @@ def growth_of_rims(
     if len(growth) < _MIN_RIMS:
         return None
     mean = float(weights @ growth / weights.sum())
-    scatter = float(np.mean(weights * (growth - mean) ** 2))
-    return Growth(mean, float(np.sqrt(max(scatter, 1.0) / weights.sum())))
+    variance = max(float(np.mean(weights * (growth - mean) ** 2)), 1.0) / float(weights.sum())
+    if catalog.errors is not None:
+        # What a catalogue calls a rim may differ for all of its craters alike, by about as much.
+        variance += float(np.median(catalog.errors.size_share[shown > 0])) ** 2
+    return Growth(mean, variance**0.5)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.dataset import Dataset
 from craternav_fg.pipeline.catalog_warnings import scaled_map
 from craternav_fg.pipeline.map_scale import Growth, growth_of_rims
@@ -53,6 +54,11 @@ def test_the_growth_is_that_of_the_sizes(data: Dataset) -> None:
     grown = growth_of_rims(larger, gTb, data.camera, data.catalog)
     assert grown is not None
     assert grown.share - right.share == pytest.approx(2e-3, abs=2e-4)
+    # Sizes on a map may all be of another definition, by as much as they are uncertain.
+    errors = replace(MapErrors.zeros(len(data.catalog)), size_share=np.full(len(data.catalog), 0.01))
+    stated = growth_of_rims(larger, gTb, data.camera, replace(data.catalog, errors=errors))
+    assert stated is not None
+    assert 0.01 < stated.sigma_share < 0.011
     assert growth_of_rims(data.measurements[:1], gTb[:1], data.camera, data.catalog) is None
 
 
