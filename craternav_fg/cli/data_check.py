@@ -13,6 +13,7 @@ from craternav_fg.cli.options import JsonOption
 from craternav_fg.cli.terminal import out, say, three_digits, warn
 from craternav_fg.dataset import Dataset
 from craternav_fg.pipeline import catalog_warnings, input_warnings
+from craternav_fg.pipeline.processed_images import processed_images
 from craternav_fg.pipeline.repeated_images import repeated_images
 
 
@@ -35,6 +36,7 @@ def check(
 def _summary(data: Dataset) -> dict[str, Any]:
     """Describe a data set by numbers and texts that JSON can carry."""
     catalog, measured, imu = data.catalog, data.measurements, data.imu
+    processed = processed_images(data)
     diameters_km = 2e-3 * catalog.semi_major_m
     return {
         "body": data.body.name,
@@ -68,6 +70,8 @@ def _summary(data: Dataset) -> dict[str, Any]:
             *input_warnings.colour_images(data.in_colour),
             *catalog_warnings.repeated_craters(data.repeated_craters),
             *input_warnings.repeated_images(_repeated(data)),
+            *input_warnings.equalised_images(processed),
+            *input_warnings.repeated_lines(processed),
             *input_warnings.departing_sun(data.sun_departure_rad),
             *unknown_height_warnings(catalog.unknown_height_sigma_m),
         ],

@@ -9,6 +9,7 @@ import numpy as np
 from craternav_fg.camera import Camera
 from craternav_fg.dataset import layout
 from craternav_fg.imu import ImuLog
+from craternav_fg.pipeline.processed_images import ProcessedImages
 from factors.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -201,6 +202,54 @@ def repeated_images(repeated: Mapping[str, str]) -> list[str]:
     return [
         f"copies of earlier images, which were not taken at their stamps: {listed(pairs)}; their rims are "
         "left out"
+    ]
+
+
+def equalised_images(processed: ProcessedImages) -> list[str]:
+    """Warn of images whose contrasts are no longer those of the ground.
+
+    Parameters
+    ----------
+    processed : ProcessedImages
+        See `processed_images.processed_images`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not processed.equalised:
+        return []
+    return [
+        f"{processed.equalised} of {processed.looked_at} images that were looked at have all grey levels "
+        "equally often, as after histogram equalisation: brightness no longer follows the slopes of the "
+        "ground, rims are measured beside their place and covariances are too small; give the images before "
+        "that, or with a contrast that is the same for all grey levels"
+    ]
+
+
+def repeated_lines(processed: ProcessedImages) -> list[str]:
+    """Warn of images whose rows or columns are there several times.
+
+    Parameters
+    ----------
+    processed : ProcessedImages
+        See `processed_images.processed_images`.
+
+    Returns
+    -------
+    list of str
+        One sentence for rows and columns.
+    """
+    if not processed.repeated:
+        return []
+    lines = " and ".join(
+        f"{count} have each of their {name} {factor:.3g} times"
+        for name, (count, factor) in processed.repeated.items()
+    )
+    return [
+        f"of {processed.looked_at} images that were looked at, {lines}, as in a single field of interlaced video "
+        "or after an enlargement that repeats pixels: rims are measured beside their place and covariances are "
+        "too small; give images of the camera's own resolution, and the intrinsics that belong to it"
     ]
 
 

@@ -23,6 +23,7 @@ from craternav_fg.pipeline.lever_arm import with_lever_arm_error
 from craternav_fg.pipeline.map_shift import with_common_shift
 from craternav_fg.pipeline.measuring import Measured, Measuring, Progress, expected_rims
 from craternav_fg.pipeline.mistakes import likely_mistake, turned_about_axis
+from craternav_fg.pipeline.processed_images import processed_images
 from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.repeated_images import repeated_images
 from craternav_fg.pipeline.result import Reconstruction
@@ -116,6 +117,7 @@ def reconstruct(
         repeated_craters=dataset.repeated_craters,
         sun_departure_rad=dataset.sun_departure_rad,
         repeated={_name(dataset, k): _name(dataset, first) for k, first in repeated.items()},
+        processed=processed_images(dataset),
         disbelieved={k: _name(dataset, k) for k in measured.disbelieved},
         displaced=_displaced(dataset, measured.segments),
         sigma_factor=measured.sigma_factor,

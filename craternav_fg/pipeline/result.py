@@ -27,6 +27,7 @@ from craternav_fg.pipeline.detected_intrinsics import DetectedIntrinsics
 from craternav_fg.pipeline.displacement import displacement
 from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
 from craternav_fg.pipeline.map_scale import Growth, growth_of_rims
+from craternav_fg.pipeline.processed_images import ProcessedImages
 from craternav_fg.pipeline.rim_mistakes import likely_rim_mistake
 from craternav_fg.resection.map_variances import EstimatedErrors
 from craternav_fg.trajectory import Trajectory
@@ -82,6 +83,8 @@ class Reconstruction:
         See `Dataset.sun_departure_rad`.
     repeated : mapping of str to str
         Images whose files are copies of an earlier one, and the earlier one.
+    processed : ProcessedImages
+        Traces of processing in the images: equalised grey levels, repeated rows or columns.
     disbelieved : mapping of int to str
         Frames whose rims were left out, as they contradict the IMU and no later frame confirms them, and the
         files of their images.
@@ -119,6 +122,7 @@ class Reconstruction:
     detected_intrinsics: DetectedIntrinsics | None = None
     sun_departure_rad: float = 0.0
     repeated: Mapping[str, str] = field(default_factory=dict)
+    processed: ProcessedImages = field(default_factory=ProcessedImages)
     disbelieved: Mapping[int, str] = field(default_factory=dict)
     mistake: str = ""
     displaced: str = ""
@@ -289,6 +293,8 @@ class Reconstruction:
             *catalog_warnings.wrong_craters(self.wrong_craters),
             *input_warnings.departing_sun(self.sun_departure_rad),
             *input_warnings.repeated_images(self.repeated),
+            *input_warnings.equalised_images(self.processed),
+            *input_warnings.repeated_lines(self.processed),
             *input_warnings.disbelieved_frames(self.disbelieved),
             # A catalogue without heights says itself that its rims lie on the sphere.
             *warnings.lowered_rims(self.lowered and descent.catalog.has_heights),
