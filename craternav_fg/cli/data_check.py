@@ -72,6 +72,7 @@ def _summary(data: Dataset) -> dict[str, Any]:
             *input_warnings.repeated_images(_repeated(data)),
             *input_warnings.equalised_images(processed),
             *input_warnings.repeated_lines(processed),
+            *input_warnings.blurred_images(processed, data.camera.psf_sigma_px),
             *input_warnings.departing_sun(data.sun_departure_rad),
             *unknown_height_warnings(catalog.unknown_height_sigma_m),
         ],

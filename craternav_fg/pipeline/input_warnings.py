@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 _MAX_DEPARTURE_RAD = math.radians(2.0)
 # Images that a warning names.
 _MAX_LISTED = 5
+# Blur beyond what the camera states, px and as a ratio, that is told. On right data, also of other renderers,
+# up to 0.5 px more shows where the ground is smooth, in photographs none.
+_MORE_BLUR_PX, _MORE_BLUR = 0.65, 1.5
 # Rows in a row that may be equal by chance of digits are fewer; of the others, at most this share.
 _MIN_FROZEN_ROWS, _MAX_REPEATED_SHARE = 20, 0.02
 # Rows in a row at the limit of a sensor's range: at least so many, and times as many as of any other value.
@@ -227,6 +230,32 @@ def equalised_images(processed: ProcessedImages) -> list[str]:
     ]
 
 
+def blurred_images(processed: ProcessedImages, psf_px: float) -> list[str]:
+    """Warn of images that are blurrier than the camera states.
+
+    Sharper ones are not told: compressed images look sharper than they are.
+
+    Parameters
+    ----------
+    processed : ProcessedImages
+        See `processed_images.processed_images`.
+    psf_px : float
+        Width of the camera's point-spread function.
+
+    Returns
+    -------
+    list of str
+    """
+    width = processed.blur_px
+    if width is None or width < max(psf_px + _MORE_BLUR_PX, _MORE_BLUR * psf_px):
+        return []
+    return [
+        f"the images are blurred by about {width:.1f} px, but psf_sigma_px is {psf_px:.2g}: check focus, "
+        "motion and resampling of the images, or state their width in the camera's sensor.yaml; sizes of rims "
+        "err by percents otherwise"
+    ]
+
+
 def repeated_lines(processed: ProcessedImages) -> list[str]:
     """Warn of images whose rows or columns are there several times.
 
@@ -247,9 +276,9 @@ def repeated_lines(processed: ProcessedImages) -> list[str]:
         for name, (count, factor) in processed.repeated.items()
     )
     return [
-        f"of {processed.looked_at} images that were looked at, {lines}, as in a single field of interlaced video "
-        "or after an enlargement that repeats pixels: rims are measured beside their place and covariances are "
-        "too small; give images of the camera's own resolution, and the intrinsics that belong to it"
+        f"of {processed.looked_at} images that were looked at, {lines}, as in a single field of interlaced "
+        "video or after an enlargement that repeats pixels: rims are measured beside their place and covariances "
+        "are too small; give images of the camera's own resolution, and the intrinsics that belong to it"
     ]
 
 

@@ -1,4 +1,4 @@
-"""Images that were processed before they came here: equalised, or enlarged by repeating rows or columns."""
+"""Images that were processed before they came here: equalised, enlarged by repeating lines, or blurred."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -8,6 +8,7 @@ import numpy as np
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.errors import InputError
+from craternav_fg.vision.image_blur import blur_px
 from factors.arrays import FloatArray, IntArray
 
 # Images that are looked at, evenly spread: a descent's images were all processed alike.
@@ -42,11 +43,14 @@ class ProcessedImages:
     repeated : mapping of str to (int, float)
         For "rows" or "columns" that repeat: the number of images in which they do, and how many times each
         is there on average. Empty unless they do in nearly all.
+    blur_px : float, optional
+        Median width of the point-spread function that their spectra show, see `vision.image_blur`.
     """
 
     looked_at: int = 0
     equalised: int = 0
     repeated: Mapping[str, tuple[int, float]] = field(default_factory=dict)
+    blur_px: float | None = None
 
 
 def processed_images(dataset: Dataset) -> ProcessedImages:
@@ -65,6 +69,7 @@ def processed_images(dataset: Dataset) -> ProcessedImages:
     if dataset.measurements is not None:
         return ProcessedImages()
     flat: list[bool | None] = []
+    widths: list[float | None] = []
     factors: dict[str, list[float | None]] = {"rows": [], "columns": []}
     for index in np.unique(np.linspace(0, len(dataset) - 1, _MAX_IMAGES).astype(int)).tolist():
         try:
@@ -74,12 +79,15 @@ def processed_images(dataset: Dataset) -> ProcessedImages:
         flat.append(has_flat_histogram(image))
         factors["rows"].append(repetition(image))
         factors["columns"].append(repetition(image.T))
+        widths.append(blur_px((255.0 / dataset.camera.full_scale * image).astype(np.float32)))
     repeated = {}
     for name, values in factors.items():
         count = _nearly_all([None if value is None else value > 1.0 for value in values])
         if count:
             repeated[name] = (count, float(np.median([value for value in values if value and value > 1.0])))
-    return ProcessedImages(len(flat), _nearly_all(flat), repeated)
+    told = [one for one in widths if one is not None]
+    width = float(np.median(told)) if len(told) >= _LEAST_IMAGES else None
+    return ProcessedImages(len(flat), _nearly_all(flat), repeated, width)
 
 
 def has_flat_histogram(image: ImageArray) -> bool | None:

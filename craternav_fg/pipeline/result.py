@@ -84,7 +84,7 @@ class Reconstruction:
     repeated : mapping of str to str
         Images whose files are copies of an earlier one, and the earlier one.
     processed : ProcessedImages
-        Traces of processing in the images: equalised grey levels, repeated rows or columns.
+        Traces of processing in the images: equalised grey levels, repeated rows or columns, blur.
     disbelieved : mapping of int to str
         Frames whose rims were left out, as they contradict the IMU and no later frame confirms them, and the
         files of their images.
@@ -295,6 +295,7 @@ class Reconstruction:
             *input_warnings.repeated_images(self.repeated),
             *input_warnings.equalised_images(self.processed),
             *input_warnings.repeated_lines(self.processed),
+            *input_warnings.blurred_images(self.processed, descent.camera.psf_sigma_px),
             *input_warnings.disbelieved_frames(self.disbelieved),
             # A catalogue without heights says itself that its rims lie on the sphere.
             *warnings.lowered_rims(self.lowered and descent.catalog.has_heights),

@@ -19,6 +19,7 @@ from craternav_fg.pipeline.processed_images import (
     repetition,
 )
 from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.vision.image_blur import blur_px
 from tests.cli.calls import call
 from tests.foreign.files import write
 from tests.foreign.worlds import draw_world
@@ -150,21 +151,26 @@ def with_images(data: Dataset, folder: Path, images: list[np.ndarray]) -> Datase
     return replace(data, image_paths=paths, stamps_ns=np.arange(len(images)))
 
 
+def seen(data: Dataset) -> ProcessedImages:
+    """What is seen of images beside their blur."""
+    return replace(processed_images(data), blur_px=None)
+
+
 def test_nearly_all_images_must_show_it(data: Dataset, image: ImageArray, tmp_path: Path) -> None:
     flat = cv2.equalizeHist(image)
     black = np.zeros_like(image)
-    assert processed_images(with_images(data, tmp_path, [flat, image] * 10)) == ProcessedImages(8)
-    assert processed_images(with_images(data, tmp_path, [flat])) == ProcessedImages(1)
+    assert seen(with_images(data, tmp_path, [flat, image] * 10)) == ProcessedImages(8)
+    assert seen(with_images(data, tmp_path, [flat])) == ProcessedImages(1)
     some = with_images(data, tmp_path, [black, flat, flat, black])
-    assert processed_images(some) == ProcessedImages(4, equalised=2)
+    assert seen(some) == ProcessedImages(4, equalised=2)
     some.image_paths[1].write_bytes(b"")
     some.image_paths[3].unlink()
-    assert processed_images(some) == ProcessedImages(2)
+    assert seen(some) == ProcessedImages(2)
     doubled = np.repeat(image[::2], 2, axis=0)
-    found = processed_images(with_images(data, tmp_path, [doubled] * 20))
+    found = seen(with_images(data, tmp_path, [doubled] * 20))
     assert found == ProcessedImages(8, repeated={"rows": (8, 2.0)})
     measured = replace(with_images(data, tmp_path, [flat] * 3), measurements=())
-    assert processed_images(measured) == ProcessedImages()
+    assert seen(measured) == ProcessedImages()
 
 
 def test_what_is_said() -> None:
@@ -177,6 +183,31 @@ def test_what_is_said() -> None:
     )
     assert text.startswith("of 8 images that were looked at, 8 have each of their rows 2 times and ")
     assert "and 7 have each of their columns 1.5 times, as in" in text
+
+
+def test_blurrier_images_than_the_camera_states_are_told(
+    data: Dataset, image: ImageArray, tmp_path: Path
+) -> None:
+    stated_px = data.camera.psf_sigma_px
+    for bits in (8, 12):
+        deep = replace(data, camera=replace(data.camera, bit_depth=bits))
+        for more_px, told in ((0.0, False), (0.5, False), (2.0, True)):
+            one = cv2.GaussianBlur(image, (0, 0), more_px) if more_px else image
+            folder = tmp_path / f"{bits} {more_px}"
+            folder.mkdir()
+            some = with_images(deep, folder, [one if bits == 8 else to_bits(one, bits)] * 2)
+            found = processed_images(some)
+            assert found.blur_px == pytest.approx(np.hypot(stated_px, more_px), abs=0.45)
+            assert bool(input_warnings.blurred_images(found, stated_px)) == told
+    assert input_warnings.blurred_images(ProcessedImages(8), 0.7) == []
+
+
+@pytest.mark.parametrize("name", PHOTOGRAPHS)
+def test_photographs_are_told_only_once_blurred(name: str) -> None:
+    photograph = cv2.imread(str(shared(name)), cv2.IMREAD_GRAYSCALE).astype(np.float32)
+    for more_px, told in ((0.0, False), (2.0, True)):
+        width = blur_px(cv2.GaussianBlur(photograph, (0, 0), more_px) if more_px else photograph)
+        assert bool(input_warnings.blurred_images(ProcessedImages(8, blur_px=width), 0.7)) == told
 
 
 def test_check_and_reconstruct_warn(tmp_path: Path) -> None:
