@@ -251,8 +251,8 @@ def blurred_images(processed: ProcessedImages, psf_px: float) -> list[str]:
         return []
     return [
         f"the images are blurred by about {width:.1f} px, but psf_sigma_px is {psf_px:.2g}: check focus, "
-        "motion and resampling of the images, or state their width in the camera's sensor.yaml; sizes of rims "
-        "err by percents otherwise"
+        "motion and resampling of the images, or state their width in the camera's sensor.yaml; otherwise "
+        "sizes of rims err by percents"
     ]
 
 
@@ -277,8 +277,8 @@ def repeated_lines(processed: ProcessedImages) -> list[str]:
     )
     return [
         f"of {processed.looked_at} images that were looked at, {lines}, as in a single field of interlaced "
-        "video or after an enlargement that repeats pixels: rims are measured beside their place and covariances "
-        "are too small; give images of the camera's own resolution, and the intrinsics that belong to it"
+        "video or after an enlargement that repeats pixels: rims are measured beside their place and "
+        "covariances are too small; give images of the camera's own resolution, with its intrinsics"
     ]
 
 
