@@ -22,6 +22,8 @@ _MAX_COVERAGE = 5.0
 MAX_TILT_DEG = 80.0
 # Cells of equal area in which the coverage is counted: rows in sine of latitude, columns in longitude.
 _CELLS = (36, 72)
+# Fewer craters may all lie on the sphere.
+_MIN_HEIGHTS = 10
 # Median height over the body's radius above which heights are distances from its centre.
 _MAX_MEDIAN_HEIGHT = 0.5
 # Share of rows with latitudes beyond the poles from which the columns are taken to be swapped; in tables of
@@ -216,6 +218,23 @@ def swapped(
     row = int(np.flatnonzero(beyond)[0])
     found = f"expected -90 to 90 deg, found {latitude_deg[row]:g}, and in {longitude_name} no more than 90"
     return row, f"{found}: latitude and longitude are swapped"
+
+
+def heights_are_stated(height_m: FloatArray, *, with_errors: bool) -> bool:
+    """Tell heights from a column that was filled with zeros.
+
+    Parameters
+    ----------
+    height_m : ndarray, shape (n,)
+    with_errors : bool
+        Whether their standard deviations are stated: then zeros are heights.
+
+    Returns
+    -------
+    bool
+        True also for a few craters, which may lie on the sphere.
+    """
+    return with_errors or len(height_m) < _MIN_HEIGHTS or bool(np.any(height_m))
 
 
 def distances_for_heights(height_m: FloatArray, radius_m: float) -> str | None:

@@ -263,7 +263,7 @@ def unknown_height_warnings(sigma_m: float) -> tuple[str, ...]:
     if sigma_m == 0.0:
         return ()
     return (
-        "the catalogue has no RIM_HEIGHT_M: its rims are taken to lie on the sphere. A height that all have "
-        f"in common cannot be observed; {sigma_m:.4g} m of it are in the covariance of positions. Take the "
-        "heights from an elevation model (craternav catalog import --dem)",
+        "the catalogue has no RIM_HEIGHT_M, or zeros in all rows: its rims are taken to lie on the sphere. A "
+        f"height that all have in common cannot be observed; {sigma_m:.4g} m of it are in the covariance of "
+        "positions. Take the heights from an elevation model (craternav catalog import --dem)",
     )

@@ -124,7 +124,8 @@ def read_catalog(path: Path, body: Body) -> Catalog:
         angle_rad=np.radians(angle),
         height_m=height,
         body=body,
-        has_heights=HEIGHT in table.columns,
+        has_heights=HEIGHT in table.columns
+        and checks.heights_are_stated(height, with_errors=errors is not None),
         plane_tilt_rad=_tilts(table),
         sphere_stated=BODY_RADIUS in table.columns,
     )

@@ -160,7 +160,8 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
         angle_rad=np.radians(angle),
         height_m=height,
         body=body,
-        has_heights=_heights(table, found) is not None,
+        has_heights=_heights(table, found) is not None
+        and checks.heights_are_stated(height, with_errors=errors is not None),
     )
     report = ImportReport(
         rows=len(table) + len(table.broken),
