@@ -45,6 +45,8 @@ class Camera:
         the principal point; None where nobody states them.
     lever_arm_sigma_m : float or None
         Standard deviation of each coordinate of the camera's position in b, m; None where nobody states it.
+    mounting_sigma_deg : float or None
+        Standard deviation about each axis of b of the camera's rotation in b; None where nobody states it.
 
     Raises
     ------
@@ -66,6 +68,7 @@ class Camera:
     focal_sigma_percent: float | None = None
     principal_sigma_px: float | None = None
     lever_arm_sigma_m: float | None = None
+    mounting_sigma_deg: float | None = None
 
     def __post_init__(self) -> None:
         # Computed here, so that a camera whose distortion folds is never made.

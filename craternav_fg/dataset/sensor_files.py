@@ -50,6 +50,7 @@ class _CameraFile(Section):
     focal_sigma_percent: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     principal_sigma_px: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
     lever_arm_sigma_m: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
+    mounting_sigma_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
 
 
 class _ImuFile(Section):
@@ -92,6 +93,7 @@ def read_camera(path: Path) -> Camera:
             width, height, fx, fy, cx, cy, bTc,
             coefficients, model.psf_sigma_px, model.bit_depth, lens_model,
             model.focal_sigma_percent, model.principal_sigma_px, model.lever_arm_sigma_m,
+            model.mounting_sigma_deg,
         )  # fmt: skip
     except ValueError as error:
         line = line_of(text, ["distortion_coefficients"])
@@ -204,7 +206,7 @@ def camera_yaml(camera: Camera, rate_hz: float) -> str:
         "psf_sigma_px": float(camera.psf_sigma_px),
         "bit_depth": camera.bit_depth,
     }
-    for name in ("focal_sigma_percent", "principal_sigma_px", "lever_arm_sigma_m"):
+    for name in ("focal_sigma_percent", "principal_sigma_px", "lever_arm_sigma_m", "mounting_sigma_deg"):
         if (sigma := getattr(camera, name)) is not None:
             values[name] = float(sigma)
     return dump_yaml(values)

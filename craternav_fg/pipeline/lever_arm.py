@@ -1,8 +1,9 @@
-"""Where the camera is on the lander: what an error of it adds to the covariance of a trajectory.
+"""Where the camera is on the lander, and how it is turned: what errors of both add to covariances.
 
 Rims tell where the camera is; the lander is that less the lever arm. An error of the lever arm shifts a
 lander that does not turn by the same vector in every frame, which no measurement contradicts. Landers turn
-too little to show it.
+too little to show it. Nor does an error of the rotation: the attitude is wrong by as much, and the
+accelerometer's bias takes up what gravity contradicts.
 """
 
 from dataclasses import replace
@@ -11,6 +12,7 @@ import numpy as np
 
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.sensor_bank import gyro_at
+from craternav_fg.frames import cross_matrix
 from craternav_fg.trajectory import Trajectory
 
 
@@ -43,3 +45,27 @@ def with_lever_arm_error(trajectory: Trajectory, descent: Descent) -> Trajectory
         across = np.sum(rate**2, axis=1)[:, None, None] * np.eye(3) - rate[:, :, None] * rate[:, None, :]
         velocities = velocities + variance * across
     return replace(trajectory, pose_covariance=poses, velocity_covariance=velocities)
+
+
+def with_mounting_error(trajectory: Trajectory, descent: Descent) -> Trajectory:
+    """Add the stated error of the camera's rotation in b to the covariances of poses.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        By rims.
+    descent : Descent
+
+    Returns
+    -------
+    Trajectory
+        As it is without a stated error, and where the mounting was estimated along.
+    """
+    variance = np.radians(descent.camera.mounting_sigma_deg or 0.0) ** 2
+    poses, calibrated = trajectory.pose_covariance, trajectory.calibrated
+    if not variance or poses is None or (calibrated is not None and calibrated.mounting_rad is not None):
+        return trajectory
+    # The camera's pose is known: the lander turns about it, and its origin moves at the lever arm's end.
+    moved = trajectory.gRb @ cross_matrix(descent.camera.bTc[:3, 3])
+    root = np.concatenate([np.broadcast_to(np.eye(3), moved.shape), moved], axis=1)
+    return replace(trajectory, pose_covariance=poses + variance * root @ np.swapaxes(root, 1, 2))

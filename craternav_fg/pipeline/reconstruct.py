@@ -19,7 +19,7 @@ from craternav_fg.pipeline.detected_intrinsics import detected_intrinsics
 from craternav_fg.pipeline.displacement import displacement
 from craternav_fg.pipeline.initial_state import find_initial
 from craternav_fg.pipeline.intrinsics_error import with_intrinsics_error
-from craternav_fg.pipeline.lever_arm import with_lever_arm_error
+from craternav_fg.pipeline.lever_arm import with_lever_arm_error, with_mounting_error
 from craternav_fg.pipeline.map_shift import with_common_shift
 from craternav_fg.pipeline.measuring import Measured, Measuring, Progress, expected_rims
 from craternav_fg.pipeline.mistakes import likely_mistake, turned_about_axis
@@ -160,6 +160,7 @@ def _run(
             found = with_common_shift(one.name, estimated, catalog, frames)
             if seen and one.name != DeadReckoning.name:
                 found = with_lever_arm_error(found, problems[0])
+                found = with_mounting_error(found, problems[0])
                 found = with_intrinsics_error(found, problems[0])
             trajectories[one.name] = found
         except (EstimationError, *NUMERICAL_ERRORS) as error:

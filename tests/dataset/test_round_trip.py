@@ -247,8 +247,8 @@ def test_charts_and_covariances_alone_are_enough(rims_folder):
 def test_how_well_the_camera_is_known_survives(tmp_path):
     rng = np.random.default_rng(7)
     given = recording(rng)
-    names = ("focal_sigma_percent", "principal_sigma_px", "lever_arm_sigma_m")
-    for values in ((0.3, None, 0.0), (None, 0.0, None), (0.0, 2.5, 0.02)):
+    names = ("focal_sigma_percent", "principal_sigma_px", "lever_arm_sigma_m", "mounting_sigma_deg")
+    for values in ((0.3, None, 0.0, None), (None, 0.0, None, 0.1), (0.0, 2.5, 0.02, 0.0)):
         sigmas = dict(zip(names, values, strict=True))
         camera = replace(given.camera, **sigmas)
         write_dataset(tmp_path / "data", replace(given, camera=camera), random_images(rng))

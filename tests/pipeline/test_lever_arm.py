@@ -4,8 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.stats import chi2
 
+from craternav_fg import frames
 from craternav_fg.dataset import Dataset
 from craternav_fg.evaluation.metrics import errors
 from craternav_fg.pipeline.reconstruct import reconstruct
@@ -46,6 +48,50 @@ def test_errors_of_the_lever_arm_agree_with_their_covariances(tmp_path: Path) ->
         stated, untold = np.mean(squares[name], axis=0)
         assert low < stated < high, name
         assert untold > high, name
+
+
+def test_errors_of_the_rotation_agree_with_their_covariances(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    sigma_deg, arm_m = 0.2, np.array([40.0, 0.0, 20.0])
+    squares: dict[str, list[list[float]]] = {name: [] for name in ESTIMATORS}
+    for trial in range(TRIALS):
+        data = Dataset.open(simulate(scenario(duration_s=20.0), tmp_path / f"{trial}", trial=trial))
+        right = with_lever_arm(data, np.zeros(3), None)
+        turned = right.camera.bTc.copy()
+        turned[:3, :3] = frames.rotation_exp(np.radians(sigma_deg) * rng.standard_normal(3)) @ turned[:3, :3]
+        for name, one in _both(right, turned, sigma_deg).items():
+            squares[name].append(one)
+    low, high = chi2.ppf([0.001, 0.999], 6 * TRIALS) / TRIALS
+    for name in ESTIMATORS:
+        stated, untold = np.mean(squares[name], axis=0)
+        assert low < stated < high, name
+        assert untold > high, name
+    # The lander's origin moves with the lever arm; an estimated rotation is not added once more.
+    data = with_lever_arm(data, arm_m, None)
+    exact, told = (
+        reconstruct(
+            replace(data, camera=replace(data.camera, mounting_sigma_deg=sigma)),
+            ["smoother", "self_calibrating_smoother"],
+        ).trajectories
+        for sigma in (None, sigma_deg)
+    )
+    added = told["smoother"].pose_covariance[-1] - exact["smoother"].pose_covariance[-1]
+    assert np.trace(added[3:, 3:]) == pytest.approx(2.0 * (np.radians(sigma_deg) * 44.72) ** 2, rel=1e-3)
+    np.testing.assert_allclose(
+        told["self_calibrating_smoother"].pose_covariance, exact["self_calibrating_smoother"].pose_covariance
+    )
+
+
+def _both(data: Dataset, bTc: np.ndarray, sigma_deg: float) -> dict[str, list[float]]:
+    """Squared errors of the last poses of a camera that is turned, with its sigma stated and without."""
+    out: dict[str, list[float]] = {name: [] for name in ESTIMATORS}
+    for sigma in (sigma_deg, None):
+        camera = replace(data.camera, bTc=bTc, mounting_sigma_deg=sigma)
+        for name, one in reconstruct(replace(data, camera=camera), ESTIMATORS).trajectories.items():
+            assert one.pose_covariance is not None
+            off = errors(one, data.truth).pose[-1]
+            out[name].append(float(off @ np.linalg.solve(one.pose_covariance[-1], off)))
+    return out
 
 
 def test_velocities_of_a_lander_that_turns_are_less_certain(tmp_path: Path) -> None:
