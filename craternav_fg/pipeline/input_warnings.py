@@ -220,13 +220,18 @@ def equalised_images(processed: ProcessedImages) -> list[str]:
     -------
     list of str
     """
-    if not processed.equalised:
+    count = processed.equalised or processed.locally_equalised
+    if not count:
         return []
+    shown = (
+        "have all grey levels equally often, as after histogram equalisation"
+        if processed.equalised
+        else "lack grey levels in their corners that they have elsewhere, as after local equalisation (CLAHE)"
+    )
     return [
-        f"{processed.equalised} of {processed.looked_at} images that were looked at have all grey levels "
-        "equally often, as after histogram equalisation: brightness no longer follows the slopes of the "
-        "ground, rims are measured beside their place and covariances are too small; give the images before "
-        "that, or with a contrast that is the same for all grey levels"
+        f"{count} of {processed.looked_at} images that were looked at {shown}: brightness no longer follows "
+        "the slopes of the ground, rims are measured beside their place and covariances are too small; give "
+        "the images before that, or with a contrast that is the same for all grey levels"
     ]
 
 

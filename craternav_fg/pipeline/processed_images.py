@@ -21,6 +21,15 @@ _LEAST_SHARE, _LEAST_IMAGES = 0.9, 2
 _MAX_FROM_LINE = 0.05
 # A histogram of fewer levels fits the line by chance; so does that of a few bright pixels on black.
 _LEAST_LEVELS, _LEAST_LIT_SHARE = 32, 0.05
+# Local equalisation treats a corner of this share of width and height alike, to the middle of its tile: there
+# are 8 tiles across an image as a rule.
+_CORNER_SHARE = 1 / 16
+# Share of a corner's pixels whose grey level is there without its neighbours. It is 0.02 at most in images
+# that were not equalised locally, 0.3 and more, seldom 0.1, in those that were.
+_LEAST_ISOLATED = 0.1
+# Corners that tell: so many, each with so many pixels for each level, and not of a few levels. Where more
+# pixels are equal to the next one, a strong compression has left flat blocks.
+_LEAST_CORNERS, _LEAST_PER_LEVEL, _LEAST_CORNER_LEVELS, _MOST_EQUAL = 2, 20, 4, 0.5
 # Of rows that an enlargement repeated, nearly all are as many times there as the others, or once more.
 _REGULAR_SHARE = 0.95
 # Repeated by chance, as in noiseless dark images, more than `1 - _REGULAR_SHARE` of the rows would be there
@@ -40,6 +49,8 @@ class ProcessedImages:
         Number of images that were looked at.
     equalised : int
         Those whose histogram was made flat; 0 unless nearly all are.
+    locally_equalised : int
+        Those that were equalised tile by tile, as their corners show; 0 unless nearly all are.
     repeated : mapping of str to (int, float)
         For "rows" or "columns" that repeat: the number of images in which they do, and how many times each
         is there on average. Empty unless they do in nearly all.
@@ -49,6 +60,7 @@ class ProcessedImages:
 
     looked_at: int = 0
     equalised: int = 0
+    locally_equalised: int = 0
     repeated: Mapping[str, tuple[int, float]] = field(default_factory=dict)
     blur_px: float | None = None
 
@@ -69,6 +81,7 @@ def processed_images(dataset: Dataset) -> ProcessedImages:
     if dataset.measurements is not None:
         return ProcessedImages()
     flat: list[bool | None] = []
+    local: list[bool | None] = []
     widths: list[float | None] = []
     factors: dict[str, list[float | None]] = {"rows": [], "columns": []}
     for index in np.unique(np.linspace(0, len(dataset) - 1, _MAX_IMAGES).astype(int)).tolist():
@@ -77,6 +90,7 @@ def processed_images(dataset: Dataset) -> ProcessedImages:
         except InputError:
             continue
         flat.append(has_flat_histogram(image))
+        local.append(has_own_levels_in_corners(image))
         factors["rows"].append(repetition(image))
         factors["columns"].append(repetition(image.T))
         widths.append(blur_px((255.0 / dataset.camera.full_scale * image).astype(np.float32)))
@@ -87,7 +101,7 @@ def processed_images(dataset: Dataset) -> ProcessedImages:
             repeated[name] = (count, float(np.median([value for value in values if value and value > 1.0])))
     told = [one for one in widths if one is not None]
     width = float(np.median(told)) if len(told) >= _LEAST_IMAGES else None
-    return ProcessedImages(len(flat), _nearly_all(flat), repeated, width)
+    return ProcessedImages(len(flat), _nearly_all(flat), _nearly_all(local), repeated, width)
 
 
 def has_flat_histogram(image: ImageArray) -> bool | None:
@@ -115,6 +129,44 @@ def has_flat_histogram(image: ImageArray) -> bool | None:
     upper = np.cumsum(shares)
     outside = np.maximum(np.maximum(upper - shares - line, line - upper), 0.0)
     return bool(outside.max() < _MAX_FROM_LINE)
+
+
+def has_own_levels_in_corners(image: ImageArray) -> bool | None:
+    """Whether the corners of an image lack every other grey level, which the image has elsewhere.
+
+    Local equalisation (CLAHE) spreads the levels of each tile by a table of its own, which leaves gaps.
+    Between the middles of tiles it mixes their tables, which fills the gaps; only corners show a single
+    table. One table for the whole image, as of a gamma correction, leaves the same gaps everywhere.
+
+    Parameters
+    ----------
+    image : ndarray of uint8 or uint16, shape (height, width)
+
+    Returns
+    -------
+    bool or None
+        None where too few corners have enough pixels for each level to tell.
+    """
+    height, width = (max(int(_CORNER_SHARE * size), 1) for size in image.shape)
+    everywhere = np.bincount(image.ravel(), minlength=int(image.max()) + 2)
+    shares = []
+    for corner in (
+        image[:height, :width],
+        image[:height, -width:],
+        image[-height:, :width],
+        image[-height:, -width:],
+    ):
+        counts = np.bincount(corner.ravel(), minlength=len(everywhere))
+        levels: IntArray = np.flatnonzero(counts)
+        dense = corner.size >= _LEAST_PER_LEVEL * len(levels) and len(levels) >= _LEAST_CORNER_LEVELS
+        if not dense or np.count_nonzero(corner[:, 1:] == corner[:, :-1]) > _MOST_EQUAL * corner.size:
+            continue
+        inner = levels[levels > 0]
+        alone = counts[inner - 1] + counts[inner + 1] == 0
+        # As frequent as the level itself.
+        elsewhere = everywhere[inner - 1] + everywhere[inner + 1] >= everywhere[inner]
+        shares.append(counts[inner[alone & elsewhere]].sum() / corner.size)
+    return bool(np.median(shares) > _LEAST_ISOLATED) if len(shares) >= _LEAST_CORNERS else None
 
 
 def repetition(image: ImageArray) -> float | None:

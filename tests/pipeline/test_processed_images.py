@@ -15,6 +15,7 @@ from craternav_fg.pipeline import input_warnings
 from craternav_fg.pipeline.processed_images import (
     ProcessedImages,
     has_flat_histogram,
+    has_own_levels_in_corners,
     processed_images,
     repetition,
 )
@@ -46,6 +47,10 @@ def image(data: Dataset) -> ImageArray:
 def jpeg(image: np.ndarray, quality: int) -> np.ndarray:
     _, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return cv2.imdecode(coded, cv2.IMREAD_UNCHANGED)
+
+
+def clahe(image: np.ndarray, clip: float = 4.0, tiles: int = 8) -> np.ndarray:
+    return cv2.createCLAHE(clip, (tiles, tiles)).apply(image)
 
 
 def looked_up(image: np.ndarray, curve: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
@@ -94,6 +99,7 @@ EQUALISED: dict[str, Change] = {
 def test_right_images_are_not_told(image: ImageArray, name: str) -> None:
     changed = RIGHT[name](image)
     assert not has_flat_histogram(changed)
+    assert not has_own_levels_in_corners(changed)
     assert not repetition(changed) or repetition(changed) == repetition(changed.T) == 1.0
 
 
@@ -107,6 +113,7 @@ def test_photographs(name: str) -> None:
     photograph = cv2.imread(str(shared(name)), cv2.IMREAD_GRAYSCALE)
     for change in RIGHT.values():
         assert not has_flat_histogram(change(photograph))
+        assert not has_own_levels_in_corners(change(photograph))
     assert repetition(photograph) == repetition(photograph.T) == 1.0
     assert has_flat_histogram(cv2.equalizeHist(photograph))
 
@@ -118,6 +125,26 @@ def test_few_levels_and_few_pixels_do_not_tell() -> None:
     hot = np.zeros((100, 100), dtype=np.uint8)
     hot.ravel()[::30] = np.random.default_rng(1).integers(1, 256, len(hot.ravel()[::30]))
     assert has_flat_histogram(hot) is None
+
+
+@pytest.mark.parametrize(("clip", "tiles"), [(2.0, 8), (4.0, 8), (40.0, 8), (3.0, 4)])
+def test_local_equalisation_shows_in_the_corners(image: ImageArray, clip: float, tiles: int) -> None:
+    assert has_own_levels_in_corners(clahe(image, clip, tiles))
+    # One table for all of the image leaves gaps as well, which single other pixels do not fill.
+    stretched = looked_up(image, lambda x: np.clip(3.0 * (x - 0.25), 0.0, 1.0))
+    stretched[100, :256] = np.arange(256)
+    assert has_own_levels_in_corners(stretched) is False
+    # A single corner that is not black.
+    dark = image.copy()
+    dark[200:] = dark[:, 200:] = 0
+    assert has_own_levels_in_corners(clahe(dark, clip, tiles)) is None
+
+
+def test_flat_blocks_of_a_strong_compression_are_no_sign_of_local_equalisation() -> None:
+    rng = np.random.default_rng(1)
+    blocks = np.repeat(np.repeat(4 * rng.integers(10, 40, (64, 64), dtype=np.uint8), 8, axis=0), 8, axis=1)
+    blocks[100:400] = rng.integers(0, 256, (300, 512))
+    assert has_own_levels_in_corners(blocks) is None
 
 
 @pytest.mark.parametrize("factor", [1.5, 2.0, 2.5, 3.0])
@@ -139,6 +166,7 @@ def test_rows_that_repeat_unevenly_were_not_enlarged() -> None:
     assert repetition(hot) is None
     hot[:100] = rows[:100]
     assert repetition(hot) == 1.0
+    assert repetition(np.repeat(rows[:9], 2, axis=0)) is None
     # Rows of one grey level each, as of a ramp.
     assert repetition(np.repeat(np.arange(200, dtype=np.uint8), 2)[:, None] * np.ones(50, np.uint8)) is None
 
@@ -163,6 +191,9 @@ def test_nearly_all_images_must_show_it(data: Dataset, image: ImageArray, tmp_pa
     assert seen(with_images(data, tmp_path, [flat])) == ProcessedImages(1)
     some = with_images(data, tmp_path, [black, flat, flat, black])
     assert seen(some) == ProcessedImages(4, equalised=2)
+    found = seen(with_images(data, tmp_path, [clahe(image)] * 3))
+    assert found == ProcessedImages(3, locally_equalised=3)
+    some = with_images(data, tmp_path, [black, flat, flat, black])
     some.image_paths[1].write_bytes(b"")
     some.image_paths[3].unlink()
     assert seen(some) == ProcessedImages(2)
@@ -178,6 +209,10 @@ def test_what_is_said() -> None:
     assert input_warnings.repeated_lines(ProcessedImages(8)) == []
     (text,) = input_warnings.equalised_images(ProcessedImages(8, equalised=7))
     assert text.startswith("7 of 8 images that were looked at have all grey levels equally often")
+    (text,) = input_warnings.equalised_images(ProcessedImages(8, equalised=7, locally_equalised=8))
+    assert text.startswith("7 of 8 images")
+    (text,) = input_warnings.equalised_images(ProcessedImages(8, locally_equalised=8))
+    assert text.startswith("8 of 8 images that were looked at lack grey levels in their corners")
     (text,) = input_warnings.repeated_lines(
         ProcessedImages(8, repeated={"rows": (8, 2.0), "columns": (7, 1.5)})
     )
