@@ -32,7 +32,8 @@ def case(tmp_path_factory):
     folder = tmp_path_factory.mktemp("identify")
     rng = np.random.default_rng(3)
     catalog = synthetic_catalog(MOON, rng, count=6000)
-    write_catalog(folder / "craters.csv", catalog)
+    # Zeros alone would count as unknown heights.
+    write_catalog(folder / "craters.csv", replace(catalog, height_m=catalog.height_m + 1e-3))
     options = ViewOptions(sigma_px=0.5, altitudes_m=(300e3, 600e3))
     scene = random_view(catalog, options, rng, true_rims=(9, 40))
     (folder / "sensor.yaml").write_text(camera_yaml(scene.camera, 1.0))
