@@ -33,7 +33,8 @@ def case(tmp_path_factory):
     rng = np.random.default_rng(3)
     catalog = synthetic_catalog(MOON, rng, count=6000)
     # Zeros alone would count as unknown heights.
-    write_catalog(folder / "craters.csv", replace(catalog, height_m=catalog.height_m + 1e-3))
+    catalog = replace(catalog, height_m=catalog.height_m + 1e-3)
+    write_catalog(folder / "craters.csv", catalog)
     options = ViewOptions(sigma_px=0.5, altitudes_m=(300e3, 600e3))
     scene = random_view(catalog, options, rng, true_rims=(9, 40))
     (folder / "sensor.yaml").write_text(camera_yaml(scene.camera, 1.0))
