@@ -27,7 +27,12 @@ class Growth(NamedTuple):
 
 
 def growth_of_rims(
-    frames: Sequence[FrameMeasurement], gTb: FloatArray, camera: Camera, catalog: Catalog
+    frames: Sequence[FrameMeasurement],
+    gTb: FloatArray,
+    camera: Camera,
+    catalog: Catalog,
+    *,
+    stated_errors: bool = True,
 ) -> Growth | None:
     """Compare the sizes of rims with those of their craters from the poses of a smoother.
 
@@ -41,6 +46,9 @@ def growth_of_rims(
         Poses of the body in g, m.
     camera : Camera
     catalog : Catalog
+    stated_errors : bool
+        Whether the catalogue itself states its errors, if it has some; those that the rims told contain this
+        very growth.
 
     Returns
     -------
@@ -59,12 +67,12 @@ def growth_of_rims(
         kept = visible & (growth**2 < _OUTLIER2 * variance)
         growths.append(growth[kept])
         variances.append(variance[kept])
-    growth, weights = np.concatenate(growths), 1.0 / np.concatenate(variances)
+    growth, weights = np.concatenate([*growths, np.empty(0)]), 1.0 / np.concatenate([*variances, np.empty(0)])
     if len(growth) < _MIN_RIMS:
         return None
     mean = float(weights @ growth / weights.sum())
     variance = max(float(np.mean(weights * (growth - mean) ** 2)), 1.0) / float(weights.sum())
-    if catalog.errors is not None:
+    if catalog.errors is not None and stated_errors:
         # What a catalogue calls a rim may differ for all of its craters alike, by about as much.
         variance += float(np.median(catalog.errors.size_share[shown > 0])) ** 2
     return Growth(mean, variance**0.5)

@@ -30,11 +30,15 @@ _LEAST_ISOLATED = 0.1
 # Corners that tell: so many, each with so many pixels for each level, and not of a few levels. Where more
 # pixels are equal to the next one, a strong compression has left flat blocks.
 _LEAST_CORNERS, _LEAST_PER_LEVEL, _LEAST_CORNER_LEVELS, _MOST_EQUAL = 2, 20, 4, 0.5
+# Share of lit pixels of an image without black sky, and least share of levels that a table leaves out.
+_MOST_SKY, _LEAST_GAPS = 0.9, 0.02
 # Of rows that an enlargement repeated, nearly all are as many times there as the others, or once more.
 _REGULAR_SHARE = 0.95
 # Repeated by chance, as in noiseless dark images, more than `1 - _REGULAR_SHARE` of the rows would be there
 # thrice where the mean is as large as this.
 _LEAST_FACTOR = 1.4
+# Rows that are there more often are the flat blocks of a JPEG file, of eight rows each.
+_LARGEST_FACTOR = 6.0
 # Different rows that tell how often each is there.
 _LEAST_ROWS = 8
 
@@ -128,7 +132,9 @@ def has_flat_histogram(image: ImageArray) -> bool | None:
     # A level is anywhere between the shares below it without and with its own: programs differ.
     upper = np.cumsum(shares)
     outside = np.maximum(np.maximum(upper - shares - line, line - upper), 0.0)
-    return bool(outside.max() < _MAX_FROM_LINE)
+    # A sphere on black sky may have all levels equally often, but has them all: a table leaves some out.
+    gaps = 1.0 - len(levels) / float(levels[-1] - levels[0] + 1)
+    return bool(outside.max() < _MAX_FROM_LINE and (lit > _MOST_SKY or gaps > _LEAST_GAPS))
 
 
 def has_own_levels_in_corners(image: ImageArray) -> bool | None:
@@ -194,7 +200,8 @@ def repetition(image: ImageArray) -> float | None:
         return None
     mean = float(lengths.mean())
     regular = np.isin(lengths, (int(mean), int(mean) + 1)).mean()
-    return mean if mean >= _LEAST_FACTOR and regular >= _REGULAR_SHARE else 1.0
+    enlarged = _LEAST_FACTOR <= mean <= _LARGEST_FACTOR and regular >= _REGULAR_SHARE
+    return mean if enlarged else 1.0
 
 
 def _nearly_all(found: Sequence[bool | None]) -> int:

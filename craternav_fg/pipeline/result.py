@@ -217,7 +217,9 @@ class Reconstruction:
         descent, smoothed = self.problems[0], self.trajectories.get(SMOOTHER)
         if smoothed is None:
             return None
-        return growth_of_rims(self.frames, smoothed.gTb, descent.camera, descent.catalog)
+        return growth_of_rims(
+            self.frames, smoothed.gTb, descent.camera, descent.catalog, stated_errors=self.map_errors is None
+        )
 
     def _rim_mistake(self) -> str:
         """Name what explains rims that contradict each other; empty for those measured in images."""

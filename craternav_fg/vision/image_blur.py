@@ -17,6 +17,8 @@ _TILE_PX = 128
 _DARKEST, _BRIGHTEST, _LEAST_CONTRAST = 8.0, 252.0, 1.0
 # Frequencies, cycles per pixel: below, hills are not rough; beyond, there are the corners of the spectrum.
 _FREQUENCIES = np.arange(0.03, 0.49, 0.01)
+# Ratio of misfits of widths that cannot be told apart.
+_NEARLY_AS_WELL = 1.3
 # Widths, px, and exponents that are tried.
 _WIDTHS_PX, _EXPONENTS = np.arange(0.0, 4.01, 0.05), np.arange(1.0, 5.01, 0.25)
 
@@ -70,5 +72,6 @@ def _width_px(spectrum: FloatArray) -> float:
     noise = np.maximum(noise, 0.0)
     share = np.maximum((a.sum(axis=-1) - noise * ab) / aa, np.finfo(np.float64).tiny)
     found = share[..., None] * a + noise[..., None] * b
-    misfit = np.sum(np.log(np.maximum(found, np.finfo(np.float64).tiny)) ** 2, axis=-1)
-    return float(_WIDTHS_PX[np.unravel_index(np.argmin(misfit), misfit.shape)[0]])
+    misfit = np.sum(np.log(np.maximum(found, np.finfo(np.float64).tiny)) ** 2, axis=-1).min(axis=1)
+    # Where noise hides the power law, any width fits: the smallest one that fits nearly as well as the best.
+    return float(_WIDTHS_PX[np.argmax(misfit <= _NEARLY_AS_WELL * misfit.min())])

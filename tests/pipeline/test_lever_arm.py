@@ -77,6 +77,13 @@ def test_errors_of_the_rotation_agree_with_their_covariances(tmp_path: Path) -> 
     )
     added = told["smoother"].pose_covariance[-1] - exact["smoother"].pose_covariance[-1]
     assert np.trace(added[3:, 3:]) == pytest.approx(2.0 * (np.radians(sigma_deg) * 44.72) ** 2, rel=1e-3)
+    # The camera stays where it is: the origin moves by the difference of what the lever arm is in g.
+    gRb, moved = exact["smoother"].gRb[-1], []
+    for axis in 1e-6 * np.eye(3):
+        moved.append((gRb - gRb @ frames.rotation_exp(axis)) @ arm_m / 1e-6)
+    np.testing.assert_allclose(
+        added[:3, 3:], np.radians(sigma_deg) ** 2 * np.array(moved), rtol=1e-3, atol=1e-6
+    )
     np.testing.assert_allclose(
         told["self_calibrating_smoother"].pose_covariance, exact["self_calibrating_smoother"].pose_covariance
     )

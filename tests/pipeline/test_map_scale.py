@@ -29,7 +29,9 @@ def stretched(data: Dataset, share: float) -> Dataset:
     return replace(data, catalog=replace(catalog, latitude_rad=places[0], longitude_rad=places[1]))
 
 
-@pytest.mark.parametrize(("share", "sign"), [(-0.001, "smaller"), (0.0, ""), (0.001, "larger")])
+@pytest.mark.parametrize(
+    ("share", "sign"), [(-0.001, "smaller"), (0.0, ""), (0.001, "larger"), (0.01, "larger")]
+)
 def test_a_map_of_another_scale_is_told(data: Dataset, share: float, sign: str) -> None:
     """The altitude follows the places: 53 m off with a sigma of 3 m, without a word."""
     told = reconstruct(stretched(data, share), ["smoother"]).warnings
@@ -59,6 +61,12 @@ def test_the_growth_is_that_of_the_sizes(data: Dataset) -> None:
     stated = growth_of_rims(larger, gTb, data.camera, replace(data.catalog, errors=errors))
     assert stated is not None
     assert 0.01 < stated.sigma_share < 0.011
+    assumed = growth_of_rims(
+        larger, gTb, data.camera, replace(data.catalog, errors=errors), stated_errors=False
+    )
+    assert assumed is not None
+    assert assumed.sigma_share < 0.002
+    assert growth_of_rims([], gTb[:0], data.camera, data.catalog) is None
     assert growth_of_rims(data.measurements[:1], gTb[:1], data.camera, data.catalog) is None
 
 

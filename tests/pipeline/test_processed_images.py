@@ -118,6 +118,20 @@ def test_photographs(name: str) -> None:
     assert has_flat_histogram(cv2.equalizeHist(photograph))
 
 
+@pytest.mark.parametrize("phase_deg", [60.0, 65.0, 70.0, 75.0])
+def test_a_smooth_sphere_on_black_sky_is_not_equalised(phase_deg: float) -> None:
+    y, x = np.mgrid[-1.3:1.3:480j, -1.3:1.3:480j]
+    z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
+    light = np.sin(np.radians(phase_deg)) * x + np.cos(np.radians(phase_deg)) * z
+    sphere = np.rint(240.0 * np.where(z > 0.0, np.maximum(light, 0.0), 0.0)).astype(np.uint8)
+    assert not has_flat_histogram(sphere)
+
+
+def test_flat_blocks_of_a_compressed_image_are_no_enlargement(image: ImageArray) -> None:
+    blocks = np.repeat(np.repeat(image[::8, ::8], 8, axis=0), 8, axis=1)
+    assert repetition(blocks) == 1.0
+
+
 def test_few_levels_and_few_pixels_do_not_tell() -> None:
     even = np.resize(np.arange(31, dtype=np.uint8), (100, 100))
     assert has_flat_histogram(even) is None
