@@ -227,7 +227,7 @@ def heights_are_stated(height_m: FloatArray, *, with_errors: bool) -> bool:
     ----------
     height_m : ndarray, shape (n,)
     with_errors : bool
-        Whether their standard deviations are stated: then zeros are heights.
+        Whether standard deviations are stated, of each or in common: then zeros are heights.
 
     Returns
     -------

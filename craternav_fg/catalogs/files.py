@@ -112,10 +112,11 @@ def read_catalog(path: Path, body: Body) -> Catalog:
     problem_of_heights = checks.distances_for_heights(height, body.radius_m)
     if problem_of_heights is not None:
         raise InputError(path, problem_of_heights, column=HEIGHT)
-    errors = _sigmas(table, ERROR_COLUMNS)
+    errors, shift = _sigmas(table, ERROR_COLUMNS), _common_shift(table)
+    stated = errors is not None or shift is not None
     return Catalog(
         errors=None if errors is None else MapErrors(**errors),
-        common_shift=_common_shift(table),
+        common_shift=shift,
         identifiers=tuple(table.columns[ID]),
         latitude_rad=np.radians(latitude),
         longitude_rad=np.radians(checks.wrapped_deg(longitude)),
@@ -124,8 +125,7 @@ def read_catalog(path: Path, body: Body) -> Catalog:
         angle_rad=np.radians(angle),
         height_m=height,
         body=body,
-        has_heights=HEIGHT in table.columns
-        and checks.heights_are_stated(height, with_errors=errors is not None),
+        has_heights=HEIGHT in table.columns and checks.heights_are_stated(height, with_errors=stated),
         plane_tilt_rad=_tilts(table),
         sphere_stated=BODY_RADIUS in table.columns,
     )

@@ -147,12 +147,13 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
     odd = checks.distances_for_heights(height, body.radius_m)
     if odd is not None:
         raise InputError(path, odd, column=found.height)
-    errors = _sigmas(table, found, ERROR_COLUMNS, keep)
+    errors, shift = _sigmas(table, found, ERROR_COLUMNS, keep), _common_shift(table, found, keep)
+    stated = errors is not None or shift is not None
     catalog = Catalog(
         plane_tilt_rad=_tilts(table, found, keep),
         identifiers=tuple(np.array(identifiers, dtype=object)[keep]),
         errors=None if errors is None else MapErrors(**errors),
-        common_shift=_common_shift(table, found, keep),
+        common_shift=shift,
         latitude_rad=np.radians(latitude),
         longitude_rad=np.radians(longitude),
         semi_major_m=0.5 * major,
@@ -161,7 +162,7 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
         height_m=height,
         body=body,
         has_heights=_heights(table, found) is not None
-        and checks.heights_are_stated(height, with_errors=errors is not None),
+        and checks.heights_are_stated(height, with_errors=stated),
     )
     report = ImportReport(
         rows=len(table) + len(table.broken),

@@ -133,3 +133,6 @@ def test_a_column_of_zeros_is_no_height(tmp_path):
         assert read(some, MOON).has_heights
         stated = [f"{row},0,1,0.01,5" for row in rows]
         assert read(written(tmp_path, *stated, header=HEADER + heights + errors), MOON).has_heights
+        common = ",COMMON_PLACE_SIGMA_M,COMMON_HEIGHT_SIGMA_M,COMMON_SOURCE"
+        stated = [f"{row},0,1,5,0" for row in rows]
+        assert read(written(tmp_path, *stated, header=HEADER + heights + common), MOON).has_heights
