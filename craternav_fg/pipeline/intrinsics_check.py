@@ -126,6 +126,30 @@ def pooled(values: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, FloatArr
     return mean, np.sqrt(np.maximum(scatter, 1.0) / weights.sum(axis=0))
 
 
+def to_be_averaged(rims: Sequence[RimSet], catalog: Catalog) -> list[RimSet]:
+    """Inflate the errors of frames' rims of which a mean is taken.
+
+    What a crater keeps, as errors of the map, is the same in all frames that show it, and what all rims share
+    in all frames: a mean does not average it out.
+
+    Parameters
+    ----------
+    rims : sequence of RimSet
+        Of each frame.
+    catalog : Catalog
+
+    Returns
+    -------
+    list of RimSet
+        Without correlated parts.
+    """
+    every = [one.craters for one in rims]
+    shown = np.bincount(np.concatenate([*every, np.empty(0, np.int64)]), minlength=len(catalog))
+    return [
+        one.inflate_correlated(shown[one.craters].astype(np.float64), of_shared=len(rims)) for one in rims
+    ]
+
+
 def _spread(count: int, most: int) -> slice:
     """Select frames, evenly spaced."""
     return slice(None, None, 1 + count // most)
@@ -143,14 +167,9 @@ def _fits(
     # A wrong match may be with a crater beyond the horizon, or with that of another rim.
     seen = [(rims.take(_in_sight(rims, pose, camera, catalog) & _alone(rims)), pose) for rims, pose in each]
     seen = [(rims, pose) for rims, pose in seen if len(rims) >= _MIN_RIMS]
-    shown = np.bincount(
-        np.concatenate([rims.craters for rims, _ in seen] or [np.empty(0, np.int64)]), minlength=len(catalog)
-    )
-    for rims, pose in seen:
-        # What a crater keeps, as errors of the map, is the same in all frames that show it, and what all rims
-        # share in all frames: a mean does not average it out.
-        alike = rims.inflate_correlated(shown[rims.craters].astype(np.float64), of_shared=len(seen))
-        matched = MatchedRims.of(alike, catalog)
+    alike = to_be_averaged([rims for rims, _ in seen], catalog)
+    for (rims, pose), inflated in zip(seen, alike, strict=True):
+        matched = MatchedRims.of(inflated, catalog)
         problem = ResectionProblem(matched, camera.bTc)
         try:
             fit = fit_intrinsics(problem, pose, prior)

@@ -8,6 +8,7 @@ import numpy as np
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.pipeline.intrinsics_check import to_be_averaged
 from factors.arrays import FloatArray
 from factors.kernels.conic import project_rims
 
@@ -55,15 +56,12 @@ def growth_of_rims(
     Growth or None
         None with few rims.
     """
-    every = [frame.rims.craters for frame in frames]
-    shown = np.bincount(np.concatenate([*every, np.empty(0, np.int64)]), minlength=len(catalog))
+    alike = to_be_averaged([frame.rims for frame in frames], catalog)
     growths, variances = list[FloatArray](), list[FloatArray]()
-    for frame, pose in zip(frames, np.ascontiguousarray(gTb), strict=True):
-        rims, rows = frame.rims, frame.rims.craters
+    for rims, pose in zip(alike, np.ascontiguousarray(gTb), strict=True):
+        rows = rims.craters
         charts, visible = project_rims(pose, camera.bTc, catalog.centres[rows], catalog.axes[rows])
-        # What a crater keeps is the same in all frames that show it, what rims share in all frames.
-        alike = rims.inflate_correlated(shown[rows].astype(np.float64), of_shared=len(frames))
-        growth, variance = (rims.chart - charts) @ _SIZE, _SIZE @ alike.covariance @ _SIZE
+        growth, variance = (rims.chart - charts) @ _SIZE, _SIZE @ rims.covariance @ _SIZE
         kept = visible & (growth**2 < _OUTLIER2 * variance)
         growths.append(growth[kept])
         variances.append(variance[kept])
@@ -74,5 +72,6 @@ def growth_of_rims(
     variance = max(float(np.mean(weights * (growth - mean) ** 2)), 1.0) / float(weights.sum())
     if catalog.errors is not None and stated_errors:
         # What a catalogue calls a rim may differ for all of its craters alike, by about as much.
-        variance += float(np.median(catalog.errors.size_share[shown > 0])) ** 2
+        shown = np.unique(np.concatenate([rims.craters for rims in alike]))
+        variance += float(np.median(catalog.errors.size_share[shown])) ** 2
     return Growth(mean, variance**0.5)
