@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg import lens
+from craternav_fg import frames, lens
 from factors.arrays import FloatArray
 
 # Along each side of the image, to find how far the distortion must reach.
@@ -73,6 +73,32 @@ class Camera:
     def __post_init__(self) -> None:
         # Computed here, so that a camera whose distortion folds is never made.
         _ = self.lens
+
+    @property
+    def mounting_sigma_rad(self) -> float:
+        """Standard deviation about each axis of the camera's rotation in b; 0 where nobody states it."""
+        return float(np.radians(self.mounting_sigma_deg or 0.0))
+
+    def mounting_covariance(self, share: float = 1.0) -> FloatArray:
+        """Compute what stated errors of the mounting add to a pose of b that images give.
+
+        Images give the pose of the camera. A small error of its rotation in b turns b by the same rotation
+        vector, and moves its origin by what that turn moves the lever arm.
+
+        Parameters
+        ----------
+        share : float
+            Of the information on the attitude that comes from the image, not from a known attitude of b.
+
+        Returns
+        -------
+        ndarray, shape (6, 6)
+            Covariance of (rotation vector in b, rad; position in b, m); zero where no error is stated.
+        """
+        slopes = np.vstack([share * np.eye(3), frames.cross_matrix(self.bTc[:3, 3])])
+        covariance = self.mounting_sigma_rad**2 * slopes @ slopes.T
+        covariance[3:, 3:] += (self.lever_arm_sigma_m or 0.0) ** 2 * np.eye(3)
+        return np.asarray(covariance)
 
     @cached_property
     def pinhole(self) -> "Camera":

@@ -122,7 +122,7 @@ def pose(
     result = with_unknown_intrinsics(problem, result, IntrinsicsPrior.of(intrinsics.of(sensor)))
     of_heights = unknown_height_warnings(craters.unknown_height_sigma_m)
     result = replace(result, warnings=(*result.warnings, *of_heights))
-    values = as_plain_data(problem, result, craters, sensor.lever_arm_sigma_m or 0.0)
+    values = as_plain_data(problem, result, craters, sensor)
     sigma_m = min((min(found["position_sigma_m"]) for found in values["poses"]), default=math.inf)
     values["warnings"] += mounting_of_image(sensor, sigma_m)
     if as_json:

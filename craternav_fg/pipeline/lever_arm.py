@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from craternav_fg import frames
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.sensor_bank import gyro_at
-from craternav_fg.frames import cross_matrix
 from craternav_fg.trajectory import Trajectory
 
 
@@ -61,11 +61,11 @@ def with_mounting_error(trajectory: Trajectory, descent: Descent) -> Trajectory:
     Trajectory
         As it is without a stated error, and where the mounting was estimated along.
     """
-    variance = np.radians(descent.camera.mounting_sigma_deg or 0.0) ** 2
     poses, calibrated = trajectory.pose_covariance, trajectory.calibrated
-    if not variance or poses is None or (calibrated is not None and calibrated.mounting_rad is not None):
+    estimated = calibrated is not None and calibrated.mounting_rad is not None
+    if poses is None or estimated or not descent.camera.mounting_sigma_deg:
         return trajectory
-    # The camera's pose is known: the lander turns about it, and its origin moves at the lever arm's end.
-    moved = trajectory.gRb @ cross_matrix(descent.camera.bTc[:3, 3])
-    root = np.concatenate([np.broadcast_to(np.eye(3), moved.shape), moved], axis=1)
-    return replace(trajectory, pose_covariance=poses + variance * root @ np.swapaxes(root, 1, 2))
+    # The error of the lever arm itself is added apart: it counts for velocities, too.
+    of_b = replace(descent.camera, lever_arm_sigma_m=None).mounting_covariance()
+    added = np.array([frames.rotate_position_block(of_b, gRb) for gRb in trajectory.gRb])
+    return replace(trajectory, pose_covariance=poses + added)

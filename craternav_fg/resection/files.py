@@ -1,5 +1,6 @@
 """Resection problems from files, and results as plain data: what the command line reads and prints."""
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -187,7 +188,8 @@ def resection_problem(
     known = None
     if attitude_wxyz is not None:
         gRb = frames.from_quaternion_wxyz(_direction("attitude: expected a quaternion", attitude_wxyz))
-        known = KnownAttitude(gRb, float(np.radians(attitude_sigma_deg)))
+        # Images compare the camera's attitude with it, which is as wrong as the mounting.
+        known = KnownAttitude(gRb, math.hypot(np.radians(attitude_sigma_deg), camera.mounting_sigma_rad))
     tilt = None
     if sun is not None:
         point = rims.chart[:, :2].mean(axis=0)
@@ -212,7 +214,7 @@ def _direction(expected: str, values: Sequence[float]) -> FloatArray:
 
 
 def as_plain_data(
-    problem: ResectionProblem, result: ResectionResult, catalog: Catalog, lever_arm_sigma_m: float = 0.0
+    problem: ResectionProblem, result: ResectionResult, catalog: Catalog, camera: Camera | None = None
 ) -> dict[str, Any]:
     """Convert a result to lists, numbers and texts for JSON.
 
@@ -222,8 +224,8 @@ def as_plain_data(
     result : ResectionResult
     catalog : Catalog
         The rims' craters, in their order: for altitudes, and for the shift that they have in common.
-    lever_arm_sigma_m : float
-        Standard deviation of each coordinate of the camera's position in b.
+    camera : Camera, optional
+        For stated errors of its mounting; without it, b is the camera.
 
     Returns
     -------
@@ -242,9 +244,7 @@ def as_plain_data(
         "sigma_scale": result.sigma_scale,
         "focal_scale": _number(result.focal_scale),
         "focal_scale_sigma": _number(result.focal_scale_sigma),
-        "poses": [_pose(problem, pose, catalog, weights, lever_arm_sigma_m) for pose in result.poses]
-        if usable
-        else [],
+        "poses": [_pose(problem, pose, catalog, weights, camera) for pose in result.poses] if usable else [],
     }
 
 
@@ -258,7 +258,7 @@ def _pose(
     pose: PoseSolution,
     catalog: Catalog,
     weights: FloatArray,
-    lever_arm_sigma_m: float,
+    camera: Camera | None,
 ) -> dict[str, Any]:
     """Return one solution as plain data; the weights (n,) of the rims are 0 for those that were rejected."""
     gP = pose.gTb[:3, 3]
@@ -269,8 +269,10 @@ def _pose(
         share = share_of_rims(pose.covariance[:3, :3], problem.prior.covariance[:3, :3])
     of_map = catalog.image_covariance(pose.gTb, weights, share)
     # As in a run's files: positions in g.
-    covariance = frames.rotate_position_block(pose.covariance, pose.gTb[:3, :3]) + of_map
-    covariance[3:, 3:] += lever_arm_sigma_m**2 * np.eye(3)
+    of_b = pose.covariance
+    if camera is not None:
+        of_b = of_b + camera.mounting_covariance(share)
+    covariance = frames.rotate_position_block(of_b, pose.gTb[:3, :3]) + of_map
     latitude, longitude = frames.latitude_longitude(gP)
     return {
         "probability": pose.probability,

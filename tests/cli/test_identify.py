@@ -135,6 +135,21 @@ def test_an_error_of_the_lever_arm_is_in_the_covariance(case, identify) -> None:
     np.testing.assert_allclose(stated - alone, expected, atol=1e-6 * alone.max())
 
 
+def test_an_error_of_the_mounting_is_in_the_covariance_of_the_attitude(case, identify) -> None:
+    folder, _, scene = case
+    (folder / "turned.yaml").write_text(camera_yaml(replace(scene.camera, mounting_sigma_deg=0.5), 1.0))
+    alone, stated = (
+        np.array(json.loads(identify(folder / "rims.csv", "--json", *camera)[1])["pose"]["covariance"])
+        for camera in ((), ("--camera", folder / "turned.yaml"))
+    )
+    added = stated - alone
+    np.testing.assert_allclose(added[:3, :3], np.radians(0.5) ** 2 * np.eye(3), atol=1e-12)
+    # The place follows the camera's, and moves by what the turn moves the end of the lever arm.
+    arm_m = np.linalg.norm(scene.camera.bTc[:3, 3])
+    largest = np.linalg.eigvalsh(added[3:, 3:])[-1]
+    np.testing.assert_allclose(largest, (np.radians(0.5) * arm_m) ** 2, atol=1e-6 * alone.max())
+
+
 def test_an_unknown_height_of_the_ground_is_in_the_covariance_and_said(case, identify) -> None:
     folder, catalog, _ = case
     write_catalog(folder / "level.csv", replace(catalog, has_heights=False))

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
@@ -78,6 +79,37 @@ def test_an_error_of_the_lever_arm_is_in_the_covariance(files: Files, run: Run) 
     (pose,) = json.loads(run("--json", *EXACT).out)["poses"]
     added = np.array(pose["covariance"]) - np.array(alone["covariance"])
     np.testing.assert_allclose(added, np.diag([0.0, 0.0, 0.0, 900.0, 900.0, 900.0]), atol=1e-6)
+
+
+def test_an_error_of_the_mounting_is_in_the_covariance(files: Files, run: Run) -> None:
+    (alone,) = json.loads(run("--json", *EXACT).out)["poses"]
+    stated = camera_yaml(replace(CAMERA, mounting_sigma_deg=0.2), 1.0)
+    (files.folder / "sensor.yaml").write_text(stated)
+    (pose,) = json.loads(run("--json", *EXACT).out)["poses"]
+    added = np.array(pose["covariance"]) - np.array(alone["covariance"])
+    np.testing.assert_allclose(added[:3, :3], np.radians(0.2) ** 2 * np.eye(3), atol=1e-12)
+    # A turn about the direction of the lever arm does not move its end; others do by its length.
+    arm = files.gTb[:3, :3] @ CAMERA.bTc[:3, 3]
+    moved = np.radians(0.2) ** 2 * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    np.testing.assert_allclose(added[3:, 3:], moved, atol=1e-6)
+
+
+def test_a_known_attitude_is_that_of_the_lander_not_of_the_camera(files: Files, run: Run) -> None:
+    """The image of a camera that is turned on the lander beside a good star tracker."""
+    sigma_deg, rng, squares = 0.1, np.random.default_rng(3), []
+    (files.folder / "sensor.yaml").write_text(camera_yaml(replace(CAMERA, mounting_sigma_deg=sigma_deg), 1.0))
+    for _ in range(25):
+        # The image stays, and so does the camera in g: the lander is elsewhere.
+        turn = np.eye(4)
+        turn[:3, :3] = frames.rotation_exp(np.radians(sigma_deg) * rng.standard_normal(3))
+        gTb = files.gTb @ CAMERA.bTc @ frames.inverse(turn @ CAMERA.bTc)
+        attitude = "--attitude", ",".join(map(str, frames.to_quaternion_wxyz(gTb[:3, :3])))
+        done = run(*attitude, "--attitude-sigma-deg", "0.001", "--json", *EXACT)
+        (pose,) = json.loads(done.out)["poses"]
+        assert "contradict" not in done.err
+        off = np.array(pose["position_m"]) - gTb[:3, 3]
+        squares.append(off @ np.linalg.solve(np.array(pose["covariance"])[3:, 3:], off))
+    assert np.mean(squares) < chi2.ppf(0.999, 3 * 25) / 25
 
 
 def test_a_common_shift_of_the_map_is_in_the_covariance(files: Files, run: Run) -> None:

@@ -84,7 +84,7 @@ def answer(
         known = KnownAttitude(search.limits.attitude @ camera.bTc[:3, :3].T, search.sigma_rad)
         warnings = attitude_warnings(known, gTb[:3, :3])
     of_b = adjoint @ covariance @ adjoint.T
-    of_b[3:, 3:] += (camera.lever_arm_sigma_m or 0.0) ** 2 * np.eye(3)
+    of_b += camera.mounting_covariance(share)
     of_map = seen.image_covariance(gTb, np.ones(len(seen)), share)
     return Identification(
         status=Status.IDENTIFIED,

@@ -1,5 +1,6 @@
 """Poses of one image: hypotheses that are expanded to all rims that they explain, and judged."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,7 +109,9 @@ class Search:
         self.n = len(view.charts)
         self.prior = np.eye(4)
         self.weight = np.zeros((6, 6))
-        self.sigma_rad = max(1.0 if known is None else known.sigma_rad, _MIN_ATTITUDE_SIGMA_RAD)
+        # Of the camera's attitude: what is known is that of b.
+        sigma_rad = 1.0 if known is None else math.hypot(known.sigma_rad, camera.mounting_sigma_rad)
+        self.sigma_rad = max(sigma_rad, _MIN_ATTITUDE_SIGMA_RAD)
         attitude, min_cos_turn = np.empty((0, 3)), -1.0
         if known is not None:
             gRc = known.gRb @ camera.bTc[:3, :3]
