@@ -155,12 +155,13 @@ def unstated_map_errors(catalog: Catalog, contradicted: bool, tenth_px_m: float)
     ]
 
 
-def assumed_map_errors(errors: "EstimatedErrors | None") -> list[str]:
+def assumed_map_errors(errors: "EstimatedErrors | None", catalog: Catalog) -> list[str]:
     """Tell which errors were assumed of a catalogue that states none.
 
     Parameters
     ----------
     errors : EstimatedErrors or None
+    catalog : Catalog
 
     Returns
     -------
@@ -168,9 +169,13 @@ def assumed_map_errors(errors: "EstimatedErrors | None") -> list[str]:
     """
     if errors is None:
         return []
+    common = ""
+    if catalog.has_heights and errors.of_heights(catalog) is not None:
+        # Without heights another warning tells what they may have in common.
+        common = " (and as much of all heights together, unless COMMON_HEIGHT_SIGMA_M states it)"
     return [
         "the catalogue states no errors, but the rims of single images contradict it at every pose: standard "
-        f"deviations with which they agree were assumed, {errors.words}; state PLACE_SIGMA_M, "
+        f"deviations with which they agree were assumed, {errors.words}{common}; state PLACE_SIGMA_M, "
         "SIZE_SIGMA_SHARE and RIM_HEIGHT_SIGMA_M if you know better"
     ]
 

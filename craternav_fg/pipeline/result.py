@@ -310,7 +310,7 @@ class Reconstruction:
                 self.mistake,
                 [sensor.name for sensor in descent.sensors],
             ),
-            *catalog_warnings.assumed_map_errors(self.map_errors),
+            *catalog_warnings.assumed_map_errors(self.map_errors, descent.catalog),
             *catalog_warnings.unstated_map_errors(
                 descent.catalog, self._contradicts_the_map() and not explained, self._tenth_px_m()
             ),

@@ -127,7 +127,8 @@ def _explained(prepared: Prepared, near: FloatArray) -> bool:
 def _again(first: Prepared, measuring: Measuring, errors: EstimatedErrors, factor: float = 1.0) -> Prepared:
     """Measure with errors of the map."""
     catalog = first.dataset.catalog
-    dataset = replace(first.dataset, catalog=replace(catalog, errors=errors.of(catalog)))
+    catalog = replace(catalog, errors=errors.of(catalog), common_shift=errors.common_shift(catalog))
+    dataset = replace(first.dataset, catalog=catalog)
 
     def report(what: str, done: int, total: int) -> None:
         measuring.report(f"{what} again, with the map's errors", done, total)

@@ -11,12 +11,13 @@ Hartley, Rao, Biometrika 54 (1967) 93, DOI 10.1093/biomet/54.1-2.93: its iterati
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from craternav_fg.camera import Camera
+from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.linalg import squared_distance
@@ -83,6 +84,43 @@ class EstimatedErrors:
         place_m = np.hypot(self.place_m, self.place_share * radius_m)
         height_m = np.hypot(self.height_m, self.height_share * radius_m)
         return MapErrors(place_m, np.full(len(catalog), self.size_share), height_m)
+
+    def of_heights(self, catalog: Catalog) -> FloatArray | None:
+        """Return the standard deviations of the heights of a catalogue.
+
+        Parameters
+        ----------
+        catalog : Catalog
+
+        Returns
+        -------
+        ndarray, shape (n,), or None
+            m; None where they are negligible.
+        """
+        height_m = self.of(catalog).height_m
+        return height_m if np.median(height_m) > _NEGLIGIBLE_M else None
+
+    def common_shift(self, catalog: Catalog) -> CommonShift | None:
+        """Return the shift of a catalogue with the height error that its craters may have in common.
+
+        Rims of one image show how their heights scatter about what they have in common, but not the latter:
+        a pose is higher by it. What makes heights wrong (a column of zeros, another unit, a coarse elevation
+        model) makes all wrong alike, at least by as much as they scatter.
+
+        Parameters
+        ----------
+        catalog : Catalog
+
+        Returns
+        -------
+        CommonShift or None
+            What the catalogue itself states, or what is in its covariance as its heights are unknown, stays.
+        """
+        shift, height_m = catalog.common_shift, self.of_heights(catalog)
+        if not catalog.has_heights or height_m is None:
+            return shift
+        shift = shift or CommonShift.unknown(len(catalog))
+        return replace(shift, height_m=np.where(np.isnan(shift.height_m), height_m, shift.height_m))
 
     def scaled(self, factor: float) -> "EstimatedErrors":
         """Multiply all standard deviations by a factor.

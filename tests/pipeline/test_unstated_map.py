@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from craternav_fg import frames
+from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset
@@ -131,6 +132,37 @@ def test_covariances_hold_the_errors_that_the_rims_show(data: Dataset, tmp_path:
         assert found.anees < 15.0, name
     summary = write_run(tmp_path, run, dataset="", truth=None, times_s={}, wall_s=0.0)
     assert summary["assumed_map_errors"]["height_m"] == run.map_errors.height_m
+
+
+def test_a_height_error_that_all_have_in_common_is_in_the_covariance(data: Dataset) -> None:
+    """Heights in feet: the rims show how they scatter, not that all are too high. ANEES was 233, 136, 68."""
+    feet = replace(data.catalog, height_m=data.catalog.height_m / 0.3048, errors=None)
+    run = reconstruct(replace(data, catalog=feet), ["smoother", "online", "ekf"])
+    assert run.map_errors is not None
+    assert run.map_errors.height_m > 30.0
+    (text,) = (one for one in run.warnings if "contradict it at every pose" in one)
+    assert "as much of all heights together" in text
+    assert data.truth is not None
+    for name, trajectory in run.trajectories.items():
+        anees = metrics(trajectory, data.truth).anees
+        assert anees is not None
+        assert anees < 20.0, name
+
+
+def test_what_is_known_of_the_common_height_stays(data: Dataset) -> None:
+    errors, n = EstimatedErrors(0.0, 0.0, 0.0, 30.0, 0.0), len(data.catalog)
+    catalog = replace(data.catalog, common_shift=None)
+    assumed = errors.common_shift(catalog)
+    assert assumed is not None
+    np.testing.assert_array_equal(assumed.height_m, 30.0)
+    assert np.isnan(assumed.place_m).all()
+    stated = CommonShift(np.full(n, 50.0), np.full(n, 2.0), np.zeros(n, dtype=np.int64))
+    again = errors.common_shift(replace(catalog, common_shift=stated))
+    assert again is not None
+    np.testing.assert_array_equal([again.place_m, again.height_m], [stated.place_m, stated.height_m])
+    # Unknown heights are in the covariance with more than that.
+    assert errors.common_shift(replace(catalog, has_heights=False)) is None
+    assert EstimatedErrors(30.0, 0.0, 0.01, 0.0, 0.0).common_shift(catalog) is None
 
 
 def test_images_are_measured_again_with_the_errors_that_they_show(tmp_path: Path) -> None:
