@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.dataset import Dataset
+from craternav_fg.measurements import RimSet
 from craternav_fg.pipeline.catalog_warnings import scaled_map
 from craternav_fg.pipeline.map_scale import Growth, growth_of_rims
 from craternav_fg.pipeline.reconstruct import reconstruct
@@ -68,6 +70,52 @@ def test_the_growth_is_that_of_the_sizes(data: Dataset) -> None:
     assert assumed.sigma_share < 0.002
     assert growth_of_rims([], gTb[:0], data.camera, data.catalog) is None
     assert growth_of_rims(data.measurements[:1], gTb[:1], data.camera, data.catalog) is None
+
+
+def _growth(data: Dataset, rims: list[RimSet]) -> Growth:
+    """Growth of a data set's rims, or of others in their place, from the true poses."""
+    assert data.measurements is not None
+    assert data.truth is not None
+    at = np.searchsorted(data.truth.stamps_ns, [frame.stamp_ns for frame in data.measurements])
+    frames = [replace(frame, rims=one) for frame, one in zip(data.measurements, rims, strict=True)]
+    found = growth_of_rims(frames, data.truth.gTb[at], data.camera, data.catalog)
+    assert found is not None
+    return found
+
+
+def test_rims_of_other_craters_do_not_count(data: Dataset) -> None:
+    assert data.measurements is not None
+    right = [frame.rims for frame in data.measurements]
+    larger = np.array([0.0, 0.0, 0.3, 0.0, 0.3])
+    wrong = [
+        replace(rims, chart=rims.chart + larger * (np.arange(len(rims)) % 5 == k % 5)[:, None])
+        for k, rims in enumerate(right)
+    ]
+    assert abs(_growth(data, wrong).share - _growth(data, right).share) < 2e-4
+
+
+def test_a_crater_that_is_seen_often_tells_its_own_size_once(data: Dataset) -> None:
+    """Each crater is larger or smaller than on the map in all frames alike, which the rims state."""
+    assert data.measurements is not None
+    sigma, rng = 0.02, np.random.default_rng(1)
+    root = np.zeros((5, 5))
+    root[[2, 4], 0] = sigma
+    squares = []
+    for _ in range(30):
+        own = sigma * rng.standard_normal(len(data.catalog))
+        rims = [
+            replace(
+                one,
+                chart=one.chart + own[one.craters][:, None] * [0.0, 0.0, 1.0, 0.0, 1.0],
+                covariance=one.covariance + root @ root.T,
+                correlated=np.tile(root, (len(one), 1, 1)),
+            )
+            for one in (frame.rims for frame in data.measurements)
+        ]
+        found = _growth(data, rims)
+        squares.append((found.share / found.sigma_share) ** 2)
+    # As of a standard normal variable; with frames as independent it is above 4.
+    assert np.mean(squares) < chi2.ppf(0.999, 30) / 30
 
 
 def test_growth_within_its_uncertainty_is_not_told() -> None:
