@@ -10,7 +10,7 @@ import pytest
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.measurements import FrameMeasurement
-from craternav_fg.pipeline.intrinsics_check import contradicted_by
+from craternav_fg.pipeline.intrinsics_check import contradicted_by, contradicted_intrinsics
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
 
@@ -72,6 +72,35 @@ def test_rims_name_a_focal_length_that_nothing_else_contradicts(tmp_path: Path) 
         assert any(said in text for text in told) == contradicted, told
         # Nor is the map blamed for what the camera explains.
         assert not any("counts as exact" in text for text in told), told
+
+
+@pytest.mark.parametrize(("share", "sigma"), [(0.0, 0.002), (0.005, 1.5e-4)])
+def test_errors_that_craters_keep_are_those_of_the_frames_that_show_them(
+    tmp_path: Path, share: float, sigma: float
+) -> None:
+    """A dozen of 76 each: as if all showed each crater, an error of the camera would not be found."""
+    data = Dataset.open(simulate("measured_descent", tmp_path / "data"))
+    assert data.measurements is not None
+    assert data.truth is not None
+    at = np.searchsorted(data.truth.stamps_ns, [frame.stamp_ns for frame in data.measurements])
+    root, rng = sigma * np.diag([1.0, 1.0, 5.0, 5.0, 5.0]), np.random.default_rng(2)
+    for _ in range(2):
+        own = rng.standard_normal((len(data.catalog), 5)) @ root
+        frames = [
+            replace(
+                frame,
+                rims=replace(
+                    frame.rims,
+                    chart=frame.rims.chart + own[frame.rims.craters],
+                    covariance=frame.rims.covariance + root @ root.T,
+                    correlated=np.tile(root, (len(frame.rims), 1, 1)),
+                ),
+            )
+            for frame in data.measurements
+        ]
+        seen = [scaled_rims(frame, share) for frame in frames]
+        told = contradicted_intrinsics(seen, data.truth.gTb[at], data.camera, data.catalog)
+        assert told == (share > 0.0)
 
 
 @pytest.mark.slow
