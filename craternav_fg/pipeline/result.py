@@ -227,16 +227,20 @@ class Reconstruction:
 
     def _contradicts_the_map(self) -> bool:
         """Whether rims are missing, left out, or contradict other sensors."""
+        # Before the first rims, a wrong initial state is to blame.
+        first = next((k for k, frame in enumerate(self.frames) if len(frame.rims)), 0)
+        began = first if self.origin == "replaced" else 0
         missed = self.expected_rims is not None and any(
             expected and not len(frame.rims)
-            for expected, frame in zip(self.expected_rims, self.frames, strict=True)
+            for expected, frame in list(zip(self.expected_rims, self.frames, strict=True))[began:]
         )
+        disbelieved = any(k >= began for k in self.disbelieved)
         outliers = warnings.inconsistent_trajectories(self.outlier_shares)
         too_large = self.innovations is not None and any(
             warnings.too_large(part.mean, int(part.dimension.sum()), images=self.predicted is not None)
             for part in map(self.innovations.of, {"imu", "rims"} & set(self.innovations.sensor))
         )
-        return bool(missed or self.disbelieved or outliers or too_large)
+        return bool(missed or disbelieved or outliers or too_large)
 
     def _tenth_px_m(self) -> float:
         """Return a tenth of a pixel on the ground below the middle of the first trajectory, m."""
