@@ -173,10 +173,11 @@ def assumed_map_errors(errors: "EstimatedErrors | None", catalog: Catalog) -> li
     if catalog.has_heights and errors.of_heights(catalog) is not None:
         # Without heights another warning tells what they may have in common.
         common = " (and as much of all heights together, unless COMMON_HEIGHT_SIGMA_M states it)"
+    slopes = ", and the slopes (PLANE_TILT_EAST_DEG, PLANE_TILT_NORTH_DEG)" if errors.tilted else ""
     return [
         "the catalogue states no errors, but the rims of single images contradict it at every pose: standard "
         f"deviations with which they agree were assumed, {errors.words}{common}; state PLACE_SIGMA_M, "
-        "SIZE_SIGMA_SHARE and RIM_HEIGHT_SIGMA_M if you know better"
+        f"SIZE_SIGMA_SHARE and RIM_HEIGHT_SIGMA_M{slopes} if you know better"
     ]
 
 

@@ -11,7 +11,7 @@ from craternav_fg.ellipse import relative_covariance
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import NUMERICAL_ERRORS, Problem
 from craternav_fg.estimators.ekf.filter import ekf
-from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
+from craternav_fg.measurements import MAP_SIZE, TILT_SIZE, ArcSet, FrameMeasurement, RimSet
 from craternav_fg.vision.arcs import across_sigma
 from craternav_fg.vision.error_model.correlated import (
     CorrelatedErrorOptions,
@@ -20,7 +20,7 @@ from craternav_fg.vision.error_model.correlated import (
 )
 from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.kernels.conic import project_rims
-from factors.kernels.rim_errors import ground_slopes
+from factors.kernels.rim_errors import ground_slopes, tilt_slopes
 
 
 def lack_map_errors(frames: Sequence[FrameMeasurement], catalog: Catalog) -> bool:
@@ -44,7 +44,7 @@ def lack_map_errors(frames: Sequence[FrameMeasurement], catalog: Catalog) -> boo
 
 
 def with_white_map_errors(
-    frames: Sequence[FrameMeasurement], catalog: Catalog
+    frames: Sequence[FrameMeasurement], catalog: Catalog, tilt_rad: float = 0.0
 ) -> tuple[FrameMeasurement, ...]:
     """Add the catalogue's errors to rims as if they were new in each frame: no pose is needed for it.
 
@@ -54,6 +54,8 @@ def with_white_map_errors(
     ----------
     frames : sequence of FrameMeasurement
     catalog : Catalog
+    tilt_rad : float
+        Standard deviation of the slopes of rims' planes.
 
     Returns
     -------
@@ -61,14 +63,14 @@ def with_white_map_errors(
     """
 
     def widened(rims: RimSet) -> RimSet:
-        share2 = _variances(rims.craters, catalog).max(axis=1)[:, None, None]
+        share2 = np.maximum(_variances(rims.craters, catalog).max(axis=1), tilt_rad**2)[:, None, None]
         return replace(rims, covariance=rims.covariance + share2 * relative_covariance(rims.chart, 1.0))
 
     return tuple(replace(frame, rims=widened(frame.rims), arcs=ArcSet.empty()) for frame in frames)
 
 
 def with_map_errors(
-    frames: Sequence[FrameMeasurement], problems: Sequence[Problem]
+    frames: Sequence[FrameMeasurement], problems: Sequence[Problem], tilt_rad: float = 0.0
 ) -> tuple[FrameMeasurement, ...]:
     """Add the catalogue's errors to rims and arcs.
 
@@ -81,6 +83,8 @@ def with_map_errors(
         As the data set holds them.
     problems : sequence of Problem
         With the same frames after `with_white_map_errors`.
+    tilt_rad : float
+        Standard deviation of the slopes of rims' planes, beside what the rims hold of them.
 
     Returns
     -------
@@ -91,7 +95,7 @@ def with_map_errors(
     try:
         poses = filtered_poses(problems)
     except (EstimationError, *NUMERICAL_ERRORS):
-        return with_white_map_errors(frames, catalog)
+        return with_white_map_errors(frames, catalog, tilt_rad)
     roots = [_roots(frame, poses, camera, catalog) for frame in frames]
     held = [_held(frame.rims, root) for frame, root in zip(frames, roots, strict=True)]
     images = np.bincount(
@@ -99,10 +103,10 @@ def with_map_errors(
     )
     if np.mean(np.concatenate([*held, [False]])) <= 0.5:
         held = [np.zeros_like(one) for one in held]
-    return tuple(
+    out = tuple(
         replace(
             frame,
-            arcs=_with_common_sigmas(frame.arcs, poses[frame.stamp_ns], camera, catalog, images),
+            arcs=_with_common_sigmas(frame.arcs, poses[frame.stamp_ns], camera, catalog, images, tilt_rad),
             rims=replace(
                 frame.rims,
                 covariance=frame.rims.covariance
@@ -114,6 +118,9 @@ def with_map_errors(
         )
         for frame, root, one in zip(frames, roots, held, strict=True)
     )
+    if tilt_rad == 0.0:
+        return out
+    return with_tilts(out, np.array([poses[frame.stamp_ns] for frame in out]), camera, catalog, tilt_rad)
 
 
 def _variances(rows: IntArray, catalog: Catalog) -> FloatArray:
@@ -145,6 +152,48 @@ def filtered_poses(problems: Sequence[Problem]) -> dict[int, FloatArray]:
     }
 
 
+def with_tilts(
+    frames: Sequence[FrameMeasurement], gTb: FloatArray, camera: Camera, catalog: Catalog, tilt_rad: float
+) -> tuple[FrameMeasurement, ...]:
+    """Add slopes of rims' planes to the errors of the map that rims hold.
+
+    Parameters
+    ----------
+    frames : sequence of FrameMeasurement
+    gTb : ndarray, shape (k, 4, 4)
+        Poses of the body in g, m.
+    camera : Camera
+    catalog : Catalog
+    tilt_rad : float
+        Standard deviation of the slopes, beside what the rims hold of them.
+
+    Returns
+    -------
+    tuple of FrameMeasurement
+    """
+
+    def tilted(rims: RimSet, pose: FloatArray) -> RimSet:
+        centres, axes = catalog.centres[rims.craters], catalog.axes[rims.craters]
+        root = np.asarray(tilt_rad * tilt_slopes(np.ascontiguousarray(pose), camera.bTc, centres, axes))
+        covariance = rims.covariance + root @ np.swapaxes(root, 1, 2)
+        return replace(rims, covariance=covariance, of_map=_joined(rims.of_map, root))
+
+    return tuple(
+        replace(frame, rims=tilted(frame.rims, pose)) for frame, pose in zip(frames, gTb, strict=True)
+    )
+
+
+def _joined(of_map: FloatArray | None, tilts: FloatArray) -> FloatArray:
+    """Join roots of errors of the map with those (n, 5, 2) of slopes: a plane has one pair of slopes."""
+    if of_map is None:
+        return tilts
+    if of_map.shape[2] == MAP_SIZE:
+        return np.concatenate([of_map, tilts], axis=2)
+    held = of_map[:, :, -TILT_SIZE:]
+    both = np.copysign(np.hypot(held, tilts), tilts)
+    return np.concatenate([of_map[:, :, :-TILT_SIZE], both], axis=2)
+
+
 def _roots(
     frame: FrameMeasurement, poses: Mapping[int, FloatArray], camera: Camera, catalog: Catalog
 ) -> FloatArray:
@@ -156,7 +205,7 @@ def _roots(
 
 
 def _with_common_sigmas(
-    arcs: ArcSet, gTb: FloatArray, camera: Camera, catalog: Catalog, images: IntArray
+    arcs: ArcSet, gTb: FloatArray, camera: Camera, catalog: Catalog, images: IntArray, tilt_rad: float
 ) -> ArcSet:
     """Let the points of an arc share what the errors of its crater move it across its outline.
 
@@ -166,7 +215,9 @@ def _with_common_sigmas(
         return arcs
     rows, gTb = arcs.craters, np.ascontiguousarray(gTb)
     charts, _ = project_rims(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
-    of_map = map_covariance(rows, gTb, camera, catalog, CorrelatedErrorOptions())
+    usual = CorrelatedErrorOptions()
+    options = replace(usual, map_tilt_rad=float(np.hypot(usual.map_tilt_rad, tilt_rad)))
+    of_map = map_covariance(rows, gTb, camera, catalog, options)
     across = np.array(list(map(across_sigma, arcs.points, charts, of_map)))
     return replace(arcs, correlated_sigmas=across, images=images[rows])
 

@@ -146,6 +146,9 @@ class Measuring:
         Frames whose images are copies of earlier ones.
     report : callable
         Called with the name of a step, its finished amount and its total.
+    tilt_rad : float
+        Standard deviation of slopes of rims' planes that is added to measured rims of a file with the errors
+        of the map; the options have that of images.
     """
 
     initial: InitialState
@@ -153,6 +156,7 @@ class Measuring:
     without: Sequence[str]
     repeated: Collection[int]
     report: Progress
+    tilt_rad: float = 0.0
 
     def prepared(
         self, dataset: Dataset, relocaliser: Relocaliser, *, lowered: bool | None = None
@@ -190,7 +194,7 @@ class Measuring:
         read = measured.frames
         lacking = dataset.measurements is not None and lack_map_errors(read, descent.catalog)
         if lacking:
-            measured = replace(measured, frames=with_white_map_errors(read, descent.catalog))
+            measured = replace(measured, frames=with_white_map_errors(read, descent.catalog, self.tilt_rad))
         try:
             problems = measured.problems(descent)
             # Where a wrong IMU led, the rims of its frames are those that were left out.
@@ -207,7 +211,7 @@ class Measuring:
                 )
                 problems = measured.problems(descent)
             if lacking:
-                measured = replace(measured, frames=with_map_errors(read, problems))
+                measured = replace(measured, frames=with_map_errors(read, problems, self.tilt_rad))
                 problems = measured.problems(descent)
         except NUMERICAL_ERRORS as error:
             raise EstimationError(f"start: {one_sentence(error)}") from error

@@ -9,7 +9,7 @@ from craternav_fg.estimators.base import NUMERICAL_ERRORS
 from craternav_fg.estimators.instruments import RIMS
 from craternav_fg.pipeline.detected_intrinsics import detected_intrinsics
 from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
-from craternav_fg.pipeline.map_errors import filtered_poses
+from craternav_fg.pipeline.map_errors import filtered_poses, with_tilts
 from craternav_fg.pipeline.measuring import Measuring, Prepared, expected_rims
 from craternav_fg.pipeline.rim_mistakes import likely_rim_mistake
 from craternav_fg.resection.map_variances import EstimatedErrors, estimated_errors
@@ -52,7 +52,7 @@ def with_unstated_errors(first: Prepared, measuring: Measuring) -> tuple[Prepare
         return first, None
     near = _near(first)
     errors = None if near is None or _by_chance(first, near) else _estimated(first, near)
-    if near is None or errors is None or _explained(first, near):
+    if near is None or errors is None or _explained(first, near, errors):
         return first, None
     try:
         return _measured_again(first, measuring, errors)
@@ -73,6 +73,9 @@ def _measured_again(
             break
         errors, final = found, _again(first, measuring, found)
         found = _estimated(final, _near(final))
+        if found is not None:
+            # The rims hold the slopes already, unlike the other errors: what is found is beside them.
+            found = replace(found, tilt_rad=float(np.hypot(errors.tilt_rad, found.tilt_rad)))
     confirmed = _frames_with_rims(final) >= _LEAST_KEPT * _frames_with_rims(first)
     return (final, errors) if confirmed else (first, None)
 
@@ -109,11 +112,15 @@ def _estimated(prepared: Prepared, near: FloatArray | None) -> EstimatedErrors |
         return None
 
 
-def _explained(prepared: Prepared, near: FloatArray) -> bool:
+def _explained(prepared: Prepared, near: FloatArray, errors: EstimatedErrors) -> bool:
     """Whether the camera, or a mistake in the tables of rims and craters, explains why rims do not agree."""
     descent, measured = prepared.problems[0], prepared.measured
+    frames = measured.frames
+    if errors.tilted:
+        # Rims on slopes that count as level contradict the intrinsics, too; a wrong camera shows no slopes.
+        frames = with_tilts(frames, near, descent.camera, descent.catalog, errors.tilt_rad)
     if any(
-        check(measured.frames, near, descent.camera, descent.catalog)
+        check(frames, near, descent.camera, descent.catalog)
         for check in (contradicted_intrinsics, contradicted_lens)
     ):
         return True
@@ -124,7 +131,7 @@ def _explained(prepared: Prepared, near: FloatArray) -> bool:
     return of_detected is not None and (of_detected.focal_is_off or of_detected.principal_point_is_off)
 
 
-def _again(first: Prepared, measuring: Measuring, errors: EstimatedErrors, factor: float = 1.0) -> Prepared:
+def _again(first: Prepared, measuring: Measuring, errors: EstimatedErrors) -> Prepared:
     """Measure with errors of the map."""
     catalog = first.dataset.catalog
     catalog = replace(catalog, errors=errors.of(catalog), common_shift=errors.common_shift(catalog))
@@ -133,6 +140,11 @@ def _again(first: Prepared, measuring: Measuring, errors: EstimatedErrors, facto
     def report(what: str, done: int, total: int) -> None:
         measuring.report(f"{what} again, with the map's errors", done, total)
 
+    if errors.tilted:
+        correlated = measuring.options.correlated_errors
+        tilt_rad = float(np.hypot(correlated.map_tilt_rad, errors.tilt_rad))
+        options = replace(measuring.options, correlated_errors=replace(correlated, map_tilt_rad=tilt_rad))
+        measuring = replace(measuring, options=options, tilt_rad=errors.tilt_rad)
     return replace(measuring, report=report).prepared(
         dataset, first.relocaliser.sharing_index(dataset), lowered=first.lowered
     )

@@ -25,26 +25,28 @@ from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement, RimSet
 from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.kernels.conic import chart_jacobian
 from factors.kernels.gauss_newton import move
-from factors.kernels.rim_errors import ground_slopes
+from factors.kernels.rim_errors import ground_slopes, tilt_slopes
 
 # Fewer rims leave little redundancy. Frames, evenly spaced, that are asked at most.
 _MIN_RIMS, _FRAMES = 3, 60
 # Standard deviations at which the search begins: places in px, and as shares of the radius; sizes as shares;
-# heights like places; and the root of the share by which the variances of the measurement are larger.
-_START = np.array([0.5, 0.01, 0.01, 0.5, 0.01, 0.1])
-_IN_PX = np.array([True, False, False, True, False, False])
-_NOISE = np.array([False, False, False, False, False, True])
+# heights like places; slopes in rad; and the root of the share by which the variances of the measurement are
+# larger.
+_START = np.array([0.5, 0.01, 0.01, 0.5, 0.01, 0.03, 0.1])
+_IN_PX = np.array([True, False, False, True, False, False, False])
+_TILT, _NOISE = np.arange(7) == 5, np.arange(7) == 6
 # Iterations: of the variances, between linearisations, and of a pose.
 _ITERATIONS, _LINEARISATIONS, _FIRST_POSE_STEPS, _POSE_STEPS = 12, 4, 6, 2
 # A rim whose residual is so many times the median of all is a wrong match or a gross error: with the map as
 # exact, where those of near rims are larger, and with its errors.
 _FIRST_OUTLIER, _OUTLIER = 10.0, 4.0
-# Gain of the log likelihood over larger errors of the measurement that a map with errors must bring. Chosen:
-# rims over an exact map bring up to 3.6 in 32 descents on ground of another renderer (`tests/foreign`), sizes
-# that are off by 1 % bring 14 on our own, places by an eighth of a pixel 40.
+# Gain of the log likelihood over larger errors of the measurement that a map with errors must bring, and that
+# slopes of planes must bring over all other errors. Chosen: rims over an exact map bring up to 3.6 in 32
+# descents on ground of another renderer (`tests/foreign`), sizes that are off by 1 % bring 14 on our own,
+# places by an eighth of a pixel 40.
 _LEAST_GAIN = 5.0
 # Standard deviations below these are not told.
-_NEGLIGIBLE_M, _NEGLIGIBLE_SHARE = 0.05, 5e-4
+_NEGLIGIBLE_M, _NEGLIGIBLE_SHARE, _NEGLIGIBLE_RAD = 0.05, 5e-4, 2e-3
 # Errors of places, in radii, beyond which it is not the map that is wrong.
 _LARGEST_PLACE = 0.3
 
@@ -61,6 +63,9 @@ class EstimatedErrors:
         Of each semi-axis, as a share of itself.
     height_m, height_share : float
         Of the height of a rim's plane, likewise: an elevation model smooths small and large rims.
+    tilt_rad : float
+        Of either slope of a rim's plane, beside what the covariances of the rims hold; 0 where the catalogue
+        states the slopes, or the other errors explain the rims as well.
     """
 
     place_m: float
@@ -68,9 +73,10 @@ class EstimatedErrors:
     size_share: float
     height_m: float
     height_share: float
+    tilt_rad: float
 
     def of(self, catalog: Catalog) -> MapErrors:
-        """Return the errors of all craters of a catalogue.
+        """Return the errors of all craters of a catalogue, but for the slopes.
 
         Parameters
         ----------
@@ -123,13 +129,14 @@ class EstimatedErrors:
         return replace(shift, height_m=np.where(np.isnan(shift.height_m), height_m, shift.height_m))
 
     def scaled(self, factor: float) -> "EstimatedErrors":
-        """Multiply all standard deviations by a factor.
+        """Multiply all standard deviations by a factor, but for that of slopes, which move no centre.
 
         Parameters
         ----------
         factor : float
         """
-        return EstimatedErrors(*(factor * getattr(self, one.name) for one in fields(self)))
+        every = {one.name: factor * getattr(self, one.name) for one in fields(self)}
+        return EstimatedErrors(**every | {"tilt_rad": self.tilt_rad})
 
     def exceed(self, others: "EstimatedErrors", factor: float) -> bool:
         """Whether one of the standard deviations is larger than another estimate by a factor.
@@ -156,6 +163,7 @@ class EstimatedErrors:
             ("places", ("place_m", "place_share"), " per axis"),
             ("semi-axes", ("size_share",), ""),
             ("heights", ("height_m", "height_share"), ""),
+            ("slopes of planes", ("tilt_rad",), ""),
         ):
             sizes = [(name, getattr(self, name)) for name in names]
             parts = [_in_words(name, size) for name, size in sizes if size > _negligible(name)]
@@ -163,12 +171,21 @@ class EstimatedErrors:
                 told.append(f"{what} {' and '.join(parts)}{after}")
         return ", ".join(told)
 
+    @property
+    def tilted(self) -> bool:
+        """Whether planes slope by more than is negligible."""
+        return self.tilt_rad > _NEGLIGIBLE_RAD
+
 
 def _negligible(name: str) -> float:
+    if name == "tilt_rad":
+        return _NEGLIGIBLE_RAD
     return _NEGLIGIBLE_M if name.endswith("_m") else _NEGLIGIBLE_SHARE
 
 
 def _in_words(name: str, sigma: float) -> str:
+    if name == "tilt_rad":
+        return f"{sigma:.2g} rad"
     if name.endswith("_m"):
         return f"{sigma:.2g} m" if sigma < 99.5 else f"{sigma:.0f} m"
     return f"{100.0 * sigma:.2g} %" + ("" if name == "size_share" else " of the radius")
@@ -199,27 +216,37 @@ def estimated_errors(
     poses = [T for f, T in zip(frames, gTb, strict=True) if len(f.rims) >= _MIN_RIMS]
     step = 1 + len(seen) // _FRAMES
     images = _Images(seen[::step], [np.array(T, order="C") for T in poses[::step]], camera, catalog)
-    exact = np.zeros(6)
+    found = _found(images, slopes=False)
+    # Slopes have a part only where the others do not explain the rims as well: they would take from them.
+    sloping = _found(images, slopes=True) if catalog.plane_tilt_rad is None else None
+    return found if sloping is None else sloping
+
+
+def _found(images: "_Images", *, slopes: bool) -> EstimatedErrors | None:
+    """Estimate the errors, with slopes of planes or without; None where the rims do not need them."""
+    errors = ~_NOISE if slopes else ~(_NOISE | _TILT)
+    exact = np.zeros(len(_START))
     rims = images.linearised(exact, _FIRST_POSE_STEPS, _FIRST_OUTLIER)
-    if rims is None or not (_rises(rims, exact) & ~_NOISE).any():
+    if rims is None or not (_rises(rims, exact) & errors).any():
         return None
     start = images.start()
     variances = exact
     for _ in range(_LINEARISATIONS):
         # All errors are taken to be the map's: a part for the noise would take those of wrong edges.
-        variances = _likeliest(rims, variances if variances.any() else np.where(_NOISE, 0.0, start))
+        variances = _likeliest(rims, variances if variances.any() else errors * start)
         rims = images.linearised(variances, _POSE_STEPS, _OUTLIER)
         if rims is None:
             return None
-    both, noise = (_likeliest(rims, one) for one in (variances + _NOISE * start, _NOISE * start))
-    gain = rims.weighted(both).log_likelihood - rims.weighted(noise).log_likelihood
+    others = ~_TILT if slopes else _NOISE
+    both, rest = (_likeliest(rims, one) for one in (variances + _NOISE * start, others * start))
+    gain = rims.weighted(both).log_likelihood - rims.weighted(rest).log_likelihood
     if any(one.correlated is not None or one.of_map is not None for one in images.rims):
         # What a crater keeps is the same in all frames: they count once.
         gain *= len(np.unique(rims.craters)) / len(rims.craters)
     if gain < _LEAST_GAIN:
         return None
     found = EstimatedErrors(*np.sqrt(variances[~_NOISE]).tolist())
-    in_radii = found.of(catalog).place_m[rims.craters] / _radii_m(catalog)[rims.craters]
+    in_radii = found.of(images.catalog).place_m[rims.craters] / _radii_m(images.catalog)[rims.craters]
     return found if np.median(in_radii) <= _LARGEST_PLACE else None
 
 
@@ -312,7 +339,7 @@ class _Images:
     catalog: Catalog
 
     def start(self) -> FloatArray:
-        """Variances (6,) at which the search begins."""
+        """Variances (7,) at which the search begins."""
         ranges_m = [
             np.linalg.norm(self.catalog.centres[rims.craters] - T[:3, 3], axis=1)
             for rims, T in zip(self.rims, self.poses, strict=True)
@@ -363,6 +390,7 @@ class _Images:
         covariance = rims.covariance - shared @ np.swapaxes(shared, 1, 2)
         place, size = ground[:, :, :2], ground[:, :, 3:] * np.array([1.0, np.sqrt(0.5), 1.0])
         height = ground[:, :, 2:3]
+        tilts = tilt_slopes(gTb, bTc, centres, axes)
         noise = np.asarray(np.linalg.cholesky(rims.covariance), float)
         at = _Rims(
             rims.craters,
@@ -370,7 +398,7 @@ class _Images:
             rims.chart - charts,
             np.concatenate([shared, jacobians], axis=2),
             covariance,
-            (place / radius_m, place, size, height / radius_m, height, noise),
+            (place / radius_m, place, size, height / radius_m, height, tilts, noise),
         )
         return at if visible.all() else _taken(at, visible)
 
@@ -392,7 +420,7 @@ def _radii_m(catalog: Catalog) -> FloatArray:
 
 
 def _likeliest(rims: _Rims, variances: FloatArray) -> FloatArray:
-    """Variances (6,) at which the residuals are likeliest; those that are zero stay so."""
+    """Variances (7,) at which the residuals are likeliest; those that are zero stay so."""
     for _ in range(_ITERATIONS):
         found, expected = _moments(rims, variances)
         variances = variances * found / expected
@@ -400,13 +428,13 @@ def _likeliest(rims: _Rims, variances: FloatArray) -> FloatArray:
 
 
 def _rises(rims: _Rims, variances: FloatArray) -> BoolArray:
-    """Whether (6,) the likelihood rises with each variance."""
+    """Whether (7,) the likelihood rises with each variance."""
     found, expected = _moments(rims, variances)
     return found > expected
 
 
 def _moments(rims: _Rims, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Squares of the weighted residuals along each component, and what is expected of them, (6,) each."""
+    """Squares of the weighted residuals along each component, and what is expected of them, (7,) each."""
     seen = rims.weighted(variances)
     found = [np.sum(np.einsum("nim,ni->nm", root, seen.residual) ** 2) for root in rims.roots]
     expected = [np.sum(root * (seen.weights @ root)) for root in rims.roots]

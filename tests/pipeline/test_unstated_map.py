@@ -249,9 +249,11 @@ def test_a_measurement_that_fails_with_the_errors_leaves_the_first(
 
 
 def test_words() -> None:
-    errors = EstimatedErrors(123.4, 0.02, 0.0, 4.0, 0.003)
+    errors = EstimatedErrors(123.4, 0.02, 0.0, 4.0, 0.003, 0.0)
     assert errors.words == "places 123 m and 2 % of the radius per axis, heights 4 m and 0.3 % of the radius"
-    assert EstimatedErrors(0.0, 0.0, 0.011, 0.0, 0.0).words == "semi-axes 1.1 %"
+    assert EstimatedErrors(0.0, 0.0, 0.011, 0.0, 0.0, 0.0).words == "semi-axes 1.1 %"
+    assert EstimatedErrors(*[0.0] * 5, 0.061).words == "slopes of planes 0.061 rad"
     assert errors.scaled(2.0).exceed(errors, 1.9)
     assert not errors.exceed(errors, 1.01)
-    assert not EstimatedErrors(0.01, *[0.0] * 4).exceed(EstimatedErrors(1e-9, *[0.0] * 4), 1.1)
+    assert not EstimatedErrors(0.01, *[0.0] * 5).exceed(EstimatedErrors(1e-9, *[0.0] * 5), 1.1)
+    assert EstimatedErrors(*[0.0] * 5, 0.06).exceed(EstimatedErrors(*[0.0] * 5, 0.04), 1.2)
