@@ -150,7 +150,7 @@ def test_a_height_error_that_all_have_in_common_is_in_the_covariance(data: Datas
 
 
 def test_what_is_known_of_the_common_height_stays(data: Dataset) -> None:
-    errors, n = EstimatedErrors(0.0, 0.0, 0.0, 30.0, 0.0), len(data.catalog)
+    errors, n = EstimatedErrors(0.0, 0.0, 0.0, 30.0, 0.0, 0.0), len(data.catalog)
     catalog = replace(data.catalog, common_shift=None)
     assumed = errors.common_shift(catalog)
     assert assumed is not None
@@ -162,7 +162,7 @@ def test_what_is_known_of_the_common_height_stays(data: Dataset) -> None:
     np.testing.assert_array_equal([again.place_m, again.height_m], [stated.place_m, stated.height_m])
     # Unknown heights are in the covariance with more than that.
     assert errors.common_shift(replace(catalog, has_heights=False)) is None
-    assert EstimatedErrors(30.0, 0.0, 0.01, 0.0, 0.0).common_shift(catalog) is None
+    assert EstimatedErrors(30.0, 0.0, 0.01, 0.0, 0.0, 0.0).common_shift(catalog) is None
 
 
 def test_images_are_measured_again_with_the_errors_that_they_show(tmp_path: Path) -> None:
