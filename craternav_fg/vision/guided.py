@@ -224,7 +224,7 @@ class GuidedFrontEnd:
             slopes = in_plane_slopes(rows, pose, self.camera, self.catalog)
             factors = shape_variance_factors(residual[keep], covariance, slopes)
             stated = self.catalog.errors.take(rows).variances(np.ones(len(rows))).any(axis=1)
-            rims = rims.scaled(np.where(stated, factors, 1.0))
+            rims = rims.scaled_in_frame(np.where(stated, factors, 1.0))
         return _Result(rims, pose, spread, expected)
 
     def _arcs(self, frame: _Frame, fitter: RimFitter, result: _Result) -> ArcSet:

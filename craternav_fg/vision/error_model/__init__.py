@@ -36,7 +36,7 @@ In one image, for all its rims:
 
 7. Shape. Where the map states errors, `error_model.shape_scatter.shape_variance_factors`, applied by
    `GuidedFrontEnd`, enlarges the variances of rims whose shape contradicts the map: their places are as
-   wrong.
+   wrong. What they are larger by is white: the errors that a crater keeps have one size in all frames.
 
 Over the frames of a descent:
 
