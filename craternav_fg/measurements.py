@@ -266,21 +266,6 @@ class RimSet:
             self, covariance=covariance, correlated=correlated, of_map=of_map, fused_white=fused
         )  # fmt: skip
 
-    def scaled_in_frame(self, factors: FloatArray) -> "RimSet":
-        """Multiply the variances of rims in this frame alone, but for what all rims share.
-
-        What they are larger by counts as white. What a crater keeps has one size in all frames: a root that
-        is larger in a single one would say that the crater is farther off there.
-
-        Parameters
-        ----------
-        factors : ndarray, shape (n,)
-            Variance factors, at least 1.
-        """
-        covariance = self.scaled(factors).covariance
-        fused = None if self.fused_white is None else self.fused_white + (covariance - self.covariance)
-        return replace(self, covariance=covariance, fused_white=fused)
-
     def with_changing_place(self, share: float) -> "RimSet":
         """Count a part of the map's errors of place as time-correlated.
 

@@ -102,23 +102,3 @@ def test_estimators_that_fuse_frames_take_more_white_variance_than_rims_state() 
     assert some.of_map is not None
     assert_allclose(some.of_map, of_map[[2, 0]])
     assert_allclose(some.fused_white_covariance, rims.fused_white_covariance[[2, 0]], rtol=1e-12)
-
-
-def test_what_a_frame_adds_to_the_variances_of_its_rims_is_white() -> None:
-    rng = np.random.default_rng(3)
-    root = rng.standard_normal((2, 5, 29)) * 1e-3
-    correlated, of_map, shared, white = np.split(root, [5, 13, 21], axis=2)
-    rims = RimSet(
-        np.arange(2), rng.standard_normal((2, 5)), root @ np.swapaxes(root, 1, 2),
-        correlated=correlated, of_map=of_map, shared=shared,
-        fused_white=2.0 * white @ np.swapaxes(white, 1, 2),
-    )  # fmt: skip
-    wider = rims.scaled_in_frame(np.array([1.0, 3.0]))
-    for before, after in zip(rims.kept, wider.kept, strict=True):
-        assert before is not None
-        assert after is not None
-        np.testing.assert_array_equal(before, after)
-    own = np.concatenate([correlated, of_map, white], axis=2)
-    excess = np.array([0.0, 2.0])[:, None, None] * own @ np.swapaxes(own, 1, 2)
-    assert_allclose(wider.covariance - rims.covariance, excess, atol=1e-12)
-    assert_allclose(wider.fused_white_covariance - rims.fused_white_covariance, excess, atol=1e-12)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     # The commands for one image name their mounting here, and detect nothing.
     from craternav_fg.pipeline.map_scale import Growth
     from craternav_fg.resection.map_variances import EstimatedErrors
+    from craternav_fg.resection.shifted_group import ShiftedGroup
 
 # Share by which gravity and spin of a known body may differ from what is known: sources differ by less.
 _SAME_MOTION = 0.005
@@ -178,6 +179,29 @@ def assumed_map_errors(errors: "EstimatedErrors | None", catalog: Catalog) -> li
         "the catalogue states no errors, but the rims of single images contradict it at every pose: standard "
         f"deviations with which they agree were assumed, {errors.words}{common}; state PLACE_SIGMA_M, "
         f"SIZE_SIGMA_SHARE and RIM_HEIGHT_SIGMA_M{slopes} if you know better"
+    ]
+
+
+def shifted_craters(group: "ShiftedGroup | None", catalog: Catalog) -> list[str]:
+    """Warn of craters that are displaced alike against the others.
+
+    Parameters
+    ----------
+    group : ShiftedGroup or None
+    catalog : Catalog
+
+    Returns
+    -------
+    list of str
+    """
+    if group is None:
+        return []
+    names = listed([catalog.identifiers[row] for row in group.rows.tolist()])
+    return [
+        f"{group.seen} of {group.of} craters that rims show are displaced alike against the others, by "
+        f"{group.shift_m:.3g} m towards {group.bearing_deg:.0f} deg (from north over east): {names}. Both "
+        "were moved by half of it, and as much is in the covariances of positions: are they from another "
+        "source? Correct their places, or state COMMON_SOURCE and COMMON_PLACE_SIGMA_M"
     ]
 
 

@@ -28,7 +28,7 @@ from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.repeated_images import repeated_images
 from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.pipeline.tracking import Segment
-from craternav_fg.pipeline.unstated_map import with_unstated_errors
+from craternav_fg.pipeline.unstated_map import with_aligned_group, with_unstated_errors
 from craternav_fg.pipeline.warnings import MAX_POSITION_SIGMAS
 from craternav_fg.sensors.point_features import NAME as FEATURES
 from craternav_fg.sensors.protocol import Sensor
@@ -88,6 +88,7 @@ def reconstruct(
     initial = _initial_state(dataset, relocaliser, report, repeated)
     measuring = Measuring(initial, front_end or GuidedOptions(), without, repeated, report)
     prepared, map_errors = with_unstated_errors(measuring.prepared(dataset, relocaliser), measuring)
+    prepared, map_errors, shifted = with_aligned_group(prepared, map_errors, measuring)
     times_s = {"front_end": time.perf_counter() - began}
     dataset, measured, problems = prepared.dataset, prepared.measured, prepared.problems
     bare = problems
@@ -126,6 +127,7 @@ def reconstruct(
             dataset.catalog.identifiers[row]: count for row, count in prepared.wrong_craters.items()
         },
         map_errors=map_errors,
+        shifted_group=shifted,
         mistake="" if searched is None else _mistake(dataset, Descent.of(dataset, initial), measured, report),
     )
 

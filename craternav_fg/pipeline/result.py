@@ -30,6 +30,7 @@ from craternav_fg.pipeline.map_scale import Growth, growth_of_rims
 from craternav_fg.pipeline.processed_images import ProcessedImages
 from craternav_fg.pipeline.rim_mistakes import likely_rim_mistake
 from craternav_fg.resection.map_variances import EstimatedErrors
+from craternav_fg.resection.shifted_group import ShiftedGroup
 from craternav_fg.trajectory import Trajectory
 from factors.arrays import FloatArray
 
@@ -103,6 +104,8 @@ class Reconstruction:
     map_errors : EstimatedErrors or None
         Errors that were assumed of a catalogue that states none, as the rims show them; None where it states
         its errors, or the rims agree with it.
+    shifted_group : ShiftedGroup or None
+        Craters of the catalogue that were displaced alike against the others; they were aligned.
     """
 
     frames: tuple[FrameMeasurement, ...]
@@ -130,6 +133,7 @@ class Reconstruction:
     lowered: bool = False
     wrong_craters: Mapping[str, int] = field(default_factory=dict)
     map_errors: EstimatedErrors | None = None
+    shifted_group: ShiftedGroup | None = None
 
     @cached_property
     def innovations(self) -> Innovations | None:
@@ -314,6 +318,7 @@ class Reconstruction:
                 self.mistake,
                 [sensor.name for sensor in descent.sensors],
             ),
+            *catalog_warnings.shifted_craters(self.shifted_group, descent.catalog),
             *catalog_warnings.assumed_map_errors(self.map_errors, descent.catalog),
             *catalog_warnings.unstated_map_errors(
                 descent.catalog, self._contradicts_the_map() and not explained, self._tenth_px_m()

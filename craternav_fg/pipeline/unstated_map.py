@@ -11,8 +11,10 @@ from craternav_fg.pipeline.detected_intrinsics import detected_intrinsics
 from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
 from craternav_fg.pipeline.map_errors import filtered_poses, with_tilts
 from craternav_fg.pipeline.measuring import Measuring, Prepared, expected_rims
+from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.rim_mistakes import likely_rim_mistake
-from craternav_fg.resection.map_variances import EstimatedErrors, estimated_errors
+from craternav_fg.resection.map_variances import EstimatedErrors, estimated_errors, place_equations
+from craternav_fg.resection.shifted_group import ShiftedGroup, shifted_group
 from craternav_fg.vision.error_model.correlated import map_variances
 from factors.arrays import FloatArray
 
@@ -59,6 +61,50 @@ def with_unstated_errors(first: Prepared, measuring: Measuring) -> tuple[Prepare
     except EstimationError:
         # What was measured with the map as exact is there.
         return first, None
+
+
+def with_aligned_group(
+    prepared: Prepared, errors: EstimatedErrors | None, measuring: Measuring
+) -> tuple[Prepared, EstimatedErrors | None, ShiftedGroup | None]:
+    """Align craters of a catalogue that are displaced alike, and measure its rims again.
+
+    Parameters
+    ----------
+    prepared : Prepared
+    errors : EstimatedErrors or None
+        What was assumed of the catalogue, see `with_unstated_errors`.
+    measuring : Measuring
+
+    Returns
+    -------
+    prepared : Prepared
+        The same where there is no such group, or the catalogue states a common shift.
+    errors : EstimatedErrors or None
+        What is assumed of the aligned catalogue.
+    group : ShiftedGroup or None
+
+    Raises
+    ------
+    InputError
+        When an image cannot be read.
+    """
+    catalog, descent = prepared.dataset.catalog, prepared.problems[0]
+    near = None if catalog.common_shift is not None or RIMS in measuring.without else _near(prepared)
+    if near is None:
+        return prepared, errors, None
+    try:
+        equations = place_equations(
+            prepared.without_map_errors(), near, descent.camera, descent.catalog, errors
+        )
+        group = None if equations is None else shifted_group(equations, catalog)
+        if group is None:
+            return prepared, errors, None
+        aligned = group.aligned(catalog if errors is None else replace(catalog, errors=None))
+        dataset = replace(prepared.dataset, catalog=aligned)
+        again = measuring.prepared(dataset, Relocaliser(dataset))
+    except (EstimationError, *NUMERICAL_ERRORS):
+        return prepared, errors, None
+    return *with_unstated_errors(again, measuring), group
 
 
 def _measured_again(

@@ -10,6 +10,7 @@ Patterson, Thompson, Biometrika 58 (1971) 545, DOI 10.1093/biomet/58.3.545: rest
 Hartley, Rao, Biometrika 54 (1967) 93, DOI 10.1093/biomet/54.1-2.93: its iteration.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
@@ -212,10 +213,7 @@ def estimated_errors(
         None where the rims do not contradict an exact map, or larger errors of the measurement explain them
         as well.
     """
-    seen = [f.rims for f in frames if len(f.rims) >= _MIN_RIMS]
-    poses = [T for f, T in zip(frames, gTb, strict=True) if len(f.rims) >= _MIN_RIMS]
-    step = 1 + len(seen) // _FRAMES
-    images = _Images(seen[::step], [np.array(T, order="C") for T in poses[::step]], camera, catalog)
+    images = _Images.of(frames, gTb, camera, catalog)
     found = _found(images, slopes=False)
     # Slopes have a part only where the others do not explain the rims as well: they would take from them.
     sloping = _found(images, slopes=True) if catalog.plane_tilt_rad is None else None
@@ -248,6 +246,84 @@ def _found(images: "_Images", *, slopes: bool) -> EstimatedErrors | None:
     found = EstimatedErrors(*np.sqrt(variances[~_NOISE]).tolist())
     in_radii = found.of(images.catalog).place_m[rims.craters] / _radii_m(images.catalog)[rims.craters]
     return found if np.median(in_radii) <= _LARGEST_PLACE else None
+
+
+class PlaceEquations(NamedTuple):
+    """Normal equations A x = b of the displacements x of craters, east and north of each after the other.
+
+    The poses of the images are eliminated, so that a displacement of all craters alike changes nothing.
+
+    Attributes
+    ----------
+    craters : ndarray of int, shape (n,)
+        Rows of the catalogue.
+    A : ndarray, shape (2n, 2n)
+        1/m^2.
+    b : ndarray, shape (2n,)
+        1/m.
+    """
+
+    craters: IntArray
+    A: FloatArray
+    b: FloatArray
+
+
+def place_equations(
+    frames: Sequence[FrameMeasurement],
+    gTb: FloatArray,
+    camera: Camera,
+    catalog: Catalog,
+    errors: EstimatedErrors | None,
+) -> PlaceEquations | None:
+    """Set up the equations for how far the craters of a catalogue are displaced along the ground.
+
+    Parameters
+    ----------
+    frames, gTb, camera, catalog
+        See `estimated_errors`.
+    errors : EstimatedErrors or None
+        Of the catalogue, if they are known. Those of places are not used but for the poses.
+
+    Returns
+    -------
+    PlaceEquations or None
+        None where no image has enough rims.
+    """
+    images = _Images.of(frames, gTb, camera, catalog)
+    if not images.rims:
+        return None
+    variances = images.start()
+    if errors is not None:
+        variances[~_NOISE] = [getattr(errors, one.name) ** 2 for one in fields(errors)]
+    variances[_NOISE] = 0.0
+    # Where half of the craters are displaced none of them is an outlier.
+    rims = images.linearised(variances, _FIRST_POSE_STEPS, np.inf)
+    if rims is None:
+        return None
+    # Without known errors of sizes and heights, those of places stand for them.
+    variances[slice(2) if errors is not None else slice(None)] = 0.0
+    W = np.linalg.inv(rims.total(variances))
+    angle = catalog.angle_rad[rims.craters]
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)
+    place, X = rims.roots[0] @ turn, rims.slopes
+    craters, index = np.unique(rims.craters, return_inverse=True)
+    A, b = np.zeros((2 * len(craters), 2 * len(craters))), np.zeros(2 * len(craters))
+    for first, end in itertools.pairwise([*rims.first.tolist(), len(index)]):
+        own = slice(first, end)
+        columns = (2 * index[own, None] + np.arange(2)).ravel()
+        Z = np.zeros((end - first, 5, len(columns)))
+        for i in range(end - first):
+            Z[i, :, 2 * i : 2 * i + 2] = place[first + i]
+        WX, WZ = W[own] @ X[own], W[own] @ Z
+        N = np.einsum("nij,nik->jk", X[own], WX)
+        N[range(SHARED_SIZE), range(SHARED_SIZE)] += 1.0
+        scale = np.sqrt(np.diag(N))
+        inverse = np.linalg.inv(N / np.outer(scale, scale)) / np.outer(scale, scale)
+        XZ = np.einsum("nij,nik->jk", WX, Z)
+        left = rims.residual[own] - X[own] @ (inverse @ np.einsum("nij,ni->j", WX, rims.residual[own]))
+        np.add.at(A, (columns[:, None], columns), np.einsum("nij,nik->jk", Z, WZ) - XZ.T @ inverse @ XZ)
+        np.add.at(b, columns, np.einsum("nij,ni->j", WZ, left))
+    return PlaceEquations(craters, A, b)
 
 
 class _Weighted(NamedTuple):
@@ -337,6 +413,15 @@ class _Images:
     poses: Sequence[FloatArray]
     camera: Camera
     catalog: Catalog
+
+    @classmethod
+    def of(
+        cls, frames: Sequence[FrameMeasurement], gTb: FloatArray, camera: Camera, catalog: Catalog
+    ) -> "_Images":
+        """Take some of the images that have enough rims."""
+        seen = [(f.rims, T) for f, T in zip(frames, gTb, strict=True) if len(f.rims) >= _MIN_RIMS]
+        some = seen[:: 1 + len(seen) // _FRAMES]
+        return cls([rims for rims, _ in some], [np.array(T, order="C") for _, T in some], camera, catalog)
 
     def start(self) -> FloatArray:
         """Variances (7,) at which the search begins."""

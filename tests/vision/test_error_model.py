@@ -7,10 +7,11 @@ import pytest
 from scipy.stats import norm
 
 from craternav_fg.catalogs.map_errors import CRATER_FREEDOM, MapErrors
+from craternav_fg.measurements import RimSet
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, in_plane_slopes, split
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
 from craternav_fg.vision.error_model.outline import unseen_deviation
-from craternav_fg.vision.error_model.shape_scatter import shape_variance_factors
+from craternav_fg.vision.error_model.shape_scatter import scaled_in_frame, shape_variance_factors
 from craternav_fg.vision.error_model.systematic import RimErrors
 from factors.kernels.conic import project_rims
 from tests.vision import scene
@@ -241,3 +242,23 @@ def test_errors_with_a_common_scale_are_told_from_the_shape(view):
     # Where nothing has heavy tails little is lost.
     normal = shape_variance_factors(np.einsum("nij,nj->ni", slopes, drawn), covariance, slopes)
     assert np.mean(normal) < 1.15
+
+
+def test_what_a_frame_adds_to_the_variances_of_its_rims_is_white() -> None:
+    rng = np.random.default_rng(3)
+    root = rng.standard_normal((2, 5, 29)) * 1e-3
+    correlated, of_map, shared, white = np.split(root, [5, 13, 21], axis=2)
+    rims = RimSet(
+        np.arange(2), rng.standard_normal((2, 5)), root @ np.swapaxes(root, 1, 2),
+        correlated=correlated, of_map=of_map, shared=shared,
+        fused_white=2.0 * white @ np.swapaxes(white, 1, 2),
+    )  # fmt: skip
+    wider = scaled_in_frame(rims, np.array([1.0, 3.0]))
+    for before, after in zip(rims.kept, wider.kept, strict=True):
+        assert before is not None
+        assert after is not None
+        np.testing.assert_array_equal(before, after)
+    own = np.concatenate([correlated, of_map, white], axis=2)
+    excess = np.array([0.0, 2.0])[:, None, None] * own @ np.swapaxes(own, 1, 2)
+    np.testing.assert_allclose(wider.covariance - rims.covariance, excess, atol=1e-12)
+    np.testing.assert_allclose(wider.fused_white_covariance - rims.fused_white_covariance, excess, atol=1e-12)
