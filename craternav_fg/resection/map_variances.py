@@ -258,9 +258,9 @@ class PlaceEquations(NamedTuple):
     craters : ndarray of int, shape (n,)
         Rows of the catalogue.
     A : ndarray, shape (2n, 2n)
-        1/m^2.
+        Information on the displacements, which are in m.
     b : ndarray, shape (2n,)
-        1/m.
+        A times the displacements in m.
     """
 
     craters: IntArray
@@ -279,8 +279,12 @@ def place_equations(
 
     Parameters
     ----------
-    frames, gTb, camera, catalog
-        See `estimated_errors`.
+    frames : sequence of FrameMeasurement
+        With the errors of the measurement alone.
+    gTb : ndarray, shape (k, 4, 4)
+        Poses of the body in g, m, near which those of the rims are.
+    camera : Camera
+    catalog : Catalog
     errors : EstimatedErrors or None
         Of the catalogue, if they are known. Those of places are not used but for the poses.
 

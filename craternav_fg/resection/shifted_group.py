@@ -25,7 +25,7 @@ _SIGMAS_M = np.geomspace(0.1, 3000.0, 45)
 # errors of 20 and 100 m it was at most 23 in 39 descents.
 _MIN_STEP2 = 30.0
 # Twice the logarithm of the likelihood ratio of two centres to one, and their distance in standard
-# deviations. Without groups a few craters at the edge make a second centre; one of several is nearer than 3.5.
+# deviations. Without groups a few craters at the edge make a second centre; one of more is nearer than 3.5.
 _MIN_RATIO, _MIN_SEPARATION = 40.0, 4.0
 # Variance of a displacement, as a share of that with which it is estimated, above which rims do not tell it.
 _TOLD, _LOOSE = 0.25, 3.0
