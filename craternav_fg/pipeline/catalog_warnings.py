@@ -14,7 +14,7 @@ from craternav_fg.pipeline.input_warnings import listed
 if TYPE_CHECKING:
     # The commands for one image name their mounting here, and detect nothing.
     from craternav_fg.pipeline.map_scale import Growth
-    from craternav_fg.resection.map_variances import EstimatedErrors
+    from craternav_fg.resection.estimated_errors import EstimatedErrors
     from craternav_fg.resection.shifted_group import ShiftedGroup
 
 # Share by which gravity and spin of a known body may differ from what is known: sources differ by less.

@@ -88,7 +88,7 @@ def reconstruct(
     initial = _initial_state(dataset, relocaliser, report, repeated)
     measuring = Measuring(initial, front_end or GuidedOptions(), without, repeated, report)
     prepared, map_errors = with_unstated_errors(measuring.prepared(dataset, relocaliser), measuring)
-    prepared, map_errors, shifted = with_aligned_group(prepared, map_errors, measuring)
+    prepared, map_errors, shifted = with_aligned_group(prepared, map_errors, measuring, dataset)
     times_s = {"front_end": time.perf_counter() - began}
     dataset, measured, problems = prepared.dataset, prepared.measured, prepared.problems
     bare = problems

@@ -29,7 +29,7 @@ from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, cont
 from craternav_fg.pipeline.map_scale import Growth, growth_of_rims
 from craternav_fg.pipeline.processed_images import ProcessedImages
 from craternav_fg.pipeline.rim_mistakes import likely_rim_mistake
-from craternav_fg.resection.map_variances import EstimatedErrors
+from craternav_fg.resection.estimated_errors import EstimatedErrors
 from craternav_fg.resection.shifted_group import ShiftedGroup
 from craternav_fg.trajectory import Trajectory
 from factors.arrays import FloatArray

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import NUMERICAL_ERRORS
 from craternav_fg.estimators.instruments import RIMS
@@ -13,7 +14,8 @@ from craternav_fg.pipeline.map_errors import filtered_poses, with_tilts
 from craternav_fg.pipeline.measuring import Measuring, Prepared, expected_rims
 from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.rim_mistakes import likely_rim_mistake
-from craternav_fg.resection.map_variances import EstimatedErrors, estimated_errors, place_equations
+from craternav_fg.resection.estimated_errors import EstimatedErrors
+from craternav_fg.resection.map_variances import estimated_errors, place_equations
 from craternav_fg.resection.shifted_group import ShiftedGroup, shifted_group
 from craternav_fg.vision.error_model.correlated import map_variances
 from factors.arrays import FloatArray
@@ -64,7 +66,7 @@ def with_unstated_errors(first: Prepared, measuring: Measuring) -> tuple[Prepare
 
 
 def with_aligned_group(
-    prepared: Prepared, errors: EstimatedErrors | None, measuring: Measuring
+    prepared: Prepared, errors: EstimatedErrors | None, measuring: Measuring, given: Dataset
 ) -> tuple[Prepared, EstimatedErrors | None, ShiftedGroup | None]:
     """Align craters of a catalogue that are displaced alike, and measure its rims again.
 
@@ -74,11 +76,13 @@ def with_aligned_group(
     errors : EstimatedErrors or None
         What was assumed of the catalogue, see `with_unstated_errors`.
     measuring : Measuring
+    given : Dataset
+        Without errors that were assumed.
 
     Returns
     -------
     prepared : Prepared
-        The same where there is no such group, or the catalogue states a common shift.
+        The same where there is no such group, or the catalogue states a common shift of its places.
     errors : EstimatedErrors or None
         What is assumed of the aligned catalogue.
     group : ShiftedGroup or None
@@ -88,19 +92,19 @@ def with_aligned_group(
     InputError
         When an image cannot be read.
     """
-    catalog, descent = prepared.dataset.catalog, prepared.problems[0]
-    near = None if catalog.common_shift is not None or RIMS in measuring.without else _near(prepared)
+    shift, descent = given.catalog.common_shift, prepared.problems[0]
+    stated = shift is not None and not np.isnan(shift.place_m).all()
+    near = None if stated or RIMS in measuring.without else _near(prepared)
     if near is None:
         return prepared, errors, None
     try:
         equations = place_equations(
             prepared.without_map_errors(), near, descent.camera, descent.catalog, errors
         )
-        group = None if equations is None else shifted_group(equations, catalog)
+        group = None if equations is None else shifted_group(equations, given.catalog)
         if group is None:
             return prepared, errors, None
-        aligned = group.aligned(catalog if errors is None else replace(catalog, errors=None))
-        dataset = replace(prepared.dataset, catalog=aligned)
+        dataset = replace(given, catalog=group.aligned(given.catalog))
         again = measuring.prepared(dataset, Relocaliser(dataset))
     except (EstimationError, *NUMERICAL_ERRORS):
         return prepared, errors, None

@@ -12,17 +12,16 @@ Hartley, Rao, Biometrika 54 (1967) 93, DOI 10.1093/biomet/54.1-2.93: its iterati
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 
 from craternav_fg.camera import Camera
-from craternav_fg.catalogs.common_shift import CommonShift
-from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement, RimSet
+from craternav_fg.resection.estimated_errors import EstimatedErrors, radii_m
 from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.kernels.conic import chart_jacobian
 from factors.kernels.gauss_newton import move
@@ -46,150 +45,8 @@ _FIRST_OUTLIER, _OUTLIER = 10.0, 4.0
 # descents on ground of another renderer (`tests/foreign`), sizes that are off by 1 % bring 14 on our own,
 # places by an eighth of a pixel 40.
 _LEAST_GAIN = 5.0
-# Standard deviations below these are not told.
-_NEGLIGIBLE_M, _NEGLIGIBLE_SHARE, _NEGLIGIBLE_RAD = 0.05, 5e-4, 2e-3
 # Errors of places, in radii, beyond which it is not the map that is wrong.
 _LARGEST_PLACE = 0.3
-
-
-@dataclass(frozen=True)
-class EstimatedErrors:
-    """Standard deviations of a map: those of places and heights are constant in part, in part they grow.
-
-    Attributes
-    ----------
-    place_m, place_share : float
-        Of a rim's centre, per axis along the ground: m, and share of the radius; both together.
-    size_share : float
-        Of each semi-axis, as a share of itself.
-    height_m, height_share : float
-        Of the height of a rim's plane, likewise: an elevation model smooths small and large rims.
-    tilt_rad : float
-        Of either slope of a rim's plane, beside what the covariances of the rims hold; 0 where the catalogue
-        states the slopes, or the other errors explain the rims as well.
-    """
-
-    place_m: float
-    place_share: float
-    size_share: float
-    height_m: float
-    height_share: float
-    tilt_rad: float
-
-    def of(self, catalog: Catalog) -> MapErrors:
-        """Return the errors of all craters of a catalogue, but for the slopes.
-
-        Parameters
-        ----------
-        catalog : Catalog
-
-        Returns
-        -------
-        MapErrors
-        """
-        radius_m = _radii_m(catalog)
-        place_m = np.hypot(self.place_m, self.place_share * radius_m)
-        height_m = np.hypot(self.height_m, self.height_share * radius_m)
-        return MapErrors(place_m, np.full(len(catalog), self.size_share), height_m)
-
-    def of_heights(self, catalog: Catalog) -> FloatArray | None:
-        """Return the standard deviations of the heights of a catalogue.
-
-        Parameters
-        ----------
-        catalog : Catalog
-
-        Returns
-        -------
-        ndarray, shape (n,), or None
-            m; None where they are negligible.
-        """
-        height_m = self.of(catalog).height_m
-        return height_m if np.median(height_m) > _NEGLIGIBLE_M else None
-
-    def common_shift(self, catalog: Catalog) -> CommonShift | None:
-        """Return the shift of a catalogue with the height error that its craters may have in common.
-
-        Rims of one image show how their heights scatter about what they have in common, but not the latter:
-        a pose is higher by it. What makes heights wrong (a column of zeros, another unit, a coarse elevation
-        model) makes all wrong alike, at least by as much as they scatter.
-
-        Parameters
-        ----------
-        catalog : Catalog
-
-        Returns
-        -------
-        CommonShift or None
-            What the catalogue itself states, or what is in its covariance as its heights are unknown, stays.
-        """
-        shift, height_m = catalog.common_shift, self.of_heights(catalog)
-        if not catalog.has_heights or height_m is None:
-            return shift
-        shift = shift or CommonShift.unknown(len(catalog))
-        return replace(shift, height_m=np.where(np.isnan(shift.height_m), height_m, shift.height_m))
-
-    def scaled(self, factor: float) -> "EstimatedErrors":
-        """Multiply all standard deviations by a factor, but for that of slopes, which move no centre.
-
-        Parameters
-        ----------
-        factor : float
-        """
-        every = {one.name: factor * getattr(self, one.name) for one in fields(self)}
-        return EstimatedErrors(**every | {"tilt_rad": self.tilt_rad})
-
-    def exceed(self, others: "EstimatedErrors", factor: float) -> bool:
-        """Whether one of the standard deviations is larger than another estimate by a factor.
-
-        Parameters
-        ----------
-        others : EstimatedErrors
-        factor : float
-
-        Returns
-        -------
-        bool
-        """
-        return any(
-            getattr(self, one.name) > factor * max(getattr(others, one.name), _negligible(one.name))
-            for one in fields(self)
-        )
-
-    @property
-    def words(self) -> str:
-        """The standard deviations that are not negligible, in words."""
-        told = []
-        for what, names, after in (
-            ("places", ("place_m", "place_share"), " per axis"),
-            ("semi-axes", ("size_share",), ""),
-            ("heights", ("height_m", "height_share"), ""),
-            ("slopes of planes", ("tilt_rad",), ""),
-        ):
-            sizes = [(name, getattr(self, name)) for name in names]
-            parts = [_in_words(name, size) for name, size in sizes if size > _negligible(name)]
-            if parts:
-                told.append(f"{what} {' and '.join(parts)}{after}")
-        return ", ".join(told)
-
-    @property
-    def tilted(self) -> bool:
-        """Whether planes slope by more than is negligible."""
-        return self.tilt_rad > _NEGLIGIBLE_RAD
-
-
-def _negligible(name: str) -> float:
-    if name == "tilt_rad":
-        return _NEGLIGIBLE_RAD
-    return _NEGLIGIBLE_M if name.endswith("_m") else _NEGLIGIBLE_SHARE
-
-
-def _in_words(name: str, sigma: float) -> str:
-    if name == "tilt_rad":
-        return f"{sigma:.2g} rad"
-    if name.endswith("_m"):
-        return f"{sigma:.2g} m" if sigma < 99.5 else f"{sigma:.0f} m"
-    return f"{100.0 * sigma:.2g} %" + ("" if name == "size_share" else " of the radius")
 
 
 def estimated_errors(
@@ -244,7 +101,7 @@ def _found(images: "_Images", *, slopes: bool) -> EstimatedErrors | None:
     if gain < _LEAST_GAIN:
         return None
     found = EstimatedErrors(*np.sqrt(variances[~_NOISE]).tolist())
-    in_radii = found.of(images.catalog).place_m[rims.craters] / _radii_m(images.catalog)[rims.craters]
+    in_radii = found.of(images.catalog).place_m[rims.craters] / radii_m(images.catalog)[rims.craters]
     return found if np.median(in_radii) <= _LARGEST_PLACE else None
 
 
@@ -474,7 +331,7 @@ class _Images:
         if visible.sum() < _MIN_RIMS:
             return None
         ground = ground_slopes(gTb, bTc, centres, axes)
-        radius_m = _radii_m(catalog)[rims.craters][:, None, None]
+        radius_m = radii_m(catalog)[rims.craters][:, None, None]
         shared = np.zeros((len(rims), 5, SHARED_SIZE)) if rims.shared is None else rims.shared
         covariance = rims.covariance - shared @ np.swapaxes(shared, 1, 2)
         place, size = ground[:, :, :2], ground[:, :, 3:] * np.array([1.0, np.sqrt(0.5), 1.0])
@@ -502,10 +359,6 @@ def _taken(rims: _Rims, kept: BoolArray) -> _Rims:
         rims.covariance[kept],
         tuple(root[kept] for root in rims.roots),
     )
-
-
-def _radii_m(catalog: Catalog) -> FloatArray:
-    return np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
 
 
 def _likeliest(rims: _Rims, variances: FloatArray) -> FloatArray:

@@ -77,12 +77,13 @@ class ShiftedGroup:
         half = np.full(len(catalog), 0.5)
         half[self.rows] = -0.5
         radius_m = catalog.body.radius_m + catalog.height_m
+        shift = catalog.common_shift or CommonShift.unknown(len(catalog))
         return replace(
             catalog,
             latitude_rad=catalog.latitude_rad + half * self.north_m / radius_m,
             longitude_rad=catalog.longitude_rad
             + half * self.east_m / (radius_m * np.cos(catalog.latitude_rad)),
-            common_shift=CommonShift.of_source(len(catalog), 0.5 * self.shift_m, 0.0),
+            common_shift=replace(shift, place_m=np.full(len(catalog), 0.5 * self.shift_m)),
         )
 
 

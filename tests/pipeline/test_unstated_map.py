@@ -16,7 +16,8 @@ from craternav_fg.estimators.instruments import RIMS
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.pipeline import unstated_map
 from craternav_fg.pipeline.reconstruct import reconstruct
-from craternav_fg.resection.map_variances import EstimatedErrors, estimated_errors
+from craternav_fg.resection.estimated_errors import EstimatedErrors
+from craternav_fg.resection.map_variances import estimated_errors
 from craternav_fg.runs.write import write_run
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario

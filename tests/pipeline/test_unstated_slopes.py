@@ -14,7 +14,8 @@ from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline import unstated_map
 from craternav_fg.pipeline.map_errors import with_tilts
 from craternav_fg.pipeline.reconstruct import reconstruct
-from craternav_fg.resection.map_variances import EstimatedErrors, estimated_errors
+from craternav_fg.resection.estimated_errors import EstimatedErrors
+from craternav_fg.resection.map_variances import estimated_errors
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.vision.guided_options import GuidedOptions
