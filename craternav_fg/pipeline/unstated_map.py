@@ -98,8 +98,10 @@ def with_aligned_group(
     if near is None:
         return prepared, errors, None
     try:
+        # Of sizes and heights that are wrong by more than stated, rims would seem to be displaced.
+        known = _estimated(prepared, near) if errors is None and catalog.errors is not None else errors
         equations = place_equations(
-            prepared.without_map_errors(), near, descent.camera, descent.catalog, errors
+            prepared.without_map_errors(), near, descent.camera, descent.catalog, known
         )
         group = None if equations is None else shifted_group(equations, given.catalog)
         if group is None:

@@ -161,8 +161,7 @@ def place_equations(
     rims = images.linearised(variances, _FIRST_POSE_STEPS, np.inf)
     if rims is None:
         return None
-    # Without known errors of sizes and heights, those of places stand for them.
-    variances[slice(2) if errors is not None else slice(None)] = 0.0
+    variances[:2] = 0.0
     W = np.linalg.inv(rims.total(variances))
     angle = catalog.angle_rad[rims.craters]
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.pipeline.reconstruct import reconstruct
-from craternav_fg.resection.map_variances import place_equations
+from craternav_fg.resection.map_variances import estimated_errors, place_equations
 from craternav_fg.resection.shifted_group import ShiftedGroup, shifted_group
 from craternav_fg.simulation.scenario import simulate
 from factors.arrays import BoolArray, IntArray
@@ -48,7 +49,8 @@ def found(data: Dataset, catalog: Catalog) -> tuple[ShiftedGroup | None, IntArra
     at = np.searchsorted(data.truth.stamps_ns, [frame.stamp_ns for frame in data.measurements])
     gTb = data.truth.gTb[at].copy()
     gTb[:, :3, 3] += [100.0, -200.0, 50.0]
-    equations = place_equations(data.measurements, gTb, data.camera, catalog, None)
+    errors = estimated_errors(data.measurements, gTb, data.camera, catalog)
+    equations = place_equations(data.measurements, gTb, data.camera, catalog, errors)
     assert equations is not None
     return shifted_group(equations, catalog), equations.craters
 
@@ -123,6 +125,19 @@ def test_right_maps_and_stated_shifts_are_left_alone(data: Dataset) -> None:
     group = ShiftedGroup(np.array([0]), 1, 2, 240.0, 180.0)
     stated = replace(catalog, common_shift=group.aligned(catalog).common_shift)
     assert reconstruct(replace(data, catalog=stated), ["ekf"]).shifted_group is None
+
+
+@pytest.mark.parametrize("stated_share", [0.0, 0.05])
+def test_wrong_sizes_are_no_group(data: Dataset, stated_share: float) -> None:
+    catalog, every = data.catalog, np.ones(len(data.catalog))
+    factor = np.exp(0.05 * np.random.default_rng(3).normal(size=len(catalog)))
+    resized = replace(
+        catalog,
+        semi_major_m=factor * catalog.semi_major_m,
+        semi_minor_m=factor * catalog.semi_minor_m,
+        errors=MapErrors(0.0 * every, stated_share * every, 0.0 * every),
+    )
+    assert reconstruct(replace(data, catalog=resized), ["ekf"]).shifted_group is None
 
 
 def test_both_parts_meet_in_the_middle(data: Dataset) -> None:
