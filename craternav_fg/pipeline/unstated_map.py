@@ -99,7 +99,7 @@ def with_aligned_group(
         return prepared, errors, None
     try:
         # Of sizes and heights that are wrong by more than stated, rims would seem to be displaced.
-        known = _estimated(prepared, near) if errors is None and catalog.errors is not None else errors
+        known = _estimated(prepared, near) if errors is None and given.catalog.errors is not None else errors
         equations = place_equations(
             prepared.without_map_errors(), near, descent.camera, descent.catalog, known
         )

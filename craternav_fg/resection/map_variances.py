@@ -12,7 +12,7 @@ Hartley, Rao, Biometrika 54 (1967) 93, DOI 10.1093/biomet/54.1-2.93: its iterati
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +45,8 @@ _FIRST_OUTLIER, _OUTLIER = 10.0, 4.0
 # descents on ground of another renderer (`tests/foreign`), sizes that are off by 1 % bring 14 on our own,
 # places by an eighth of a pixel 40.
 _LEAST_GAIN = 5.0
+# Craters whose displacements are asked at most: the cost grows with the third power.
+_MOST_DISPLACED = 400
 # Errors of places, in radii, beyond which it is not the map that is wrong.
 _LARGEST_PLACE = 0.3
 
@@ -105,6 +107,14 @@ def _found(images: "_Images", *, slopes: bool) -> EstimatedErrors | None:
     return found if np.median(in_radii) <= _LARGEST_PLACE else None
 
 
+def _of_most_seen(frames: Sequence[FrameMeasurement], most: int) -> list[FrameMeasurement]:
+    """Keep the rims of the craters that most frames show."""
+    seen = np.bincount(np.concatenate([frame.rims.craters for frame in frames] or [np.empty(0, np.int64)]))
+    kept = np.zeros(len(seen), dtype=np.bool_)
+    kept[np.argsort(-seen, kind="stable")[:most]] = True
+    return [replace(frame, rims=frame.rims.take(kept[frame.rims.craters])) for frame in frames]
+
+
 class PlaceEquations(NamedTuple):
     """Normal equations A x = b of the displacements x of craters, east and north of each after the other.
 
@@ -150,7 +160,7 @@ def place_equations(
     PlaceEquations or None
         None where no image has enough rims.
     """
-    images = _Images.of(frames, gTb, camera, catalog)
+    images = _Images.of(_of_most_seen(frames, _MOST_DISPLACED), gTb, camera, catalog)
     if not images.rims:
         return None
     variances = images.start()

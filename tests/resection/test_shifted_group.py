@@ -10,6 +10,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.resection import map_variances
 from craternav_fg.resection.map_variances import estimated_errors, place_equations
 from craternav_fg.resection.shifted_group import ShiftedGroup, shifted_group
 from craternav_fg.simulation.scenario import simulate
@@ -86,6 +87,20 @@ def test_a_trend_is_no_group(data: Dataset) -> None:
     assert found(data, replace(catalog, longitude_rad=scaled))[0] is None
     turned = catalog.latitude_rad + 0.01 * (catalog.longitude_rad - middle)
     assert found(data, replace(catalog, latitude_rad=turned))[0] is None
+
+
+def test_of_many_craters_those_that_most_images_show_are_asked(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(map_variances, "_MOST_DISPLACED", 40)
+    catalog = moved(data.catalog, 30.0, -40.0, halves(data.catalog)["east"], 0.0)
+    one, seen = found(data, catalog)
+    assert data.measurements is not None
+    counts = np.bincount(np.concatenate([frame.rims.craters for frame in data.measurements]))
+    assert len(seen) == 40
+    assert counts[seen].min() >= np.delete(counts, seen).max()
+    assert one is not None
+    assert one.shift_m == pytest.approx(50.0, rel=0.15)
 
 
 def test_few_craters_tell_nothing(data: Dataset) -> None:
