@@ -24,6 +24,7 @@ from craternav_fg.pipeline.relocalisation import PoseFix, Relocaliser
 from craternav_fg.sun_in_image import sun_angle_in_image
 from craternav_fg.trajectory import InitialState
 from craternav_fg.vision.error_model.pooling import PooledErrors
+from craternav_fg.vision.error_model.steady_roots import with_steady_roots
 from craternav_fg.vision.guided import GuidedFrontEnd
 from factors.arrays import FloatArray, IntArray
 from factors.kernels import strapdown
@@ -173,7 +174,9 @@ class Tracker:
         if self._former is not None and self._former.supported:
             self._resume(self._former)
         track = self._track
-        frames, guides = zip(*track.measured, strict=True)
+        measured, guides = zip(*track.measured, strict=True)
+        data, options = self.dataset, self.front_end.options.correlated_errors
+        frames = with_steady_roots(measured, np.array(guides), data.camera, data.catalog, options)
         return Tracked(frames, tuple(track.segments), np.array(guides), self._disbelieved)
 
     def _predicted_of(self, track: _Track, index: int) -> FilterState:

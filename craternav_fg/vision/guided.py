@@ -27,7 +27,7 @@ from craternav_fg.vision.error_model.correlated import (
     split,
 )
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
-from craternav_fg.vision.error_model.shape_scatter import scaled_in_frame, shape_variance_factors
+from craternav_fg.vision.error_model.shape_scatter import shape_variance_factors
 from craternav_fg.vision.grey import on_8_bit_scale
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.pose_correction import corrected_pose
@@ -224,7 +224,7 @@ class GuidedFrontEnd:
             slopes = in_plane_slopes(rows, pose, self.camera, self.catalog)
             factors = shape_variance_factors(residual[keep], covariance, slopes)
             stated = self.catalog.errors.take(rows).variances(np.ones(len(rows))).any(axis=1)
-            rims = scaled_in_frame(rims, np.where(stated, factors, 1.0))
+            rims = rims.scaled(np.where(stated, factors, 1.0))
         return _Result(rims, pose, spread, expected)
 
     def _arcs(self, frame: _Frame, fitter: RimFitter, result: _Result) -> ArcSet:

@@ -1,17 +1,24 @@
 """Steps of the error model between the fit of one rim and the frame's rim set."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from craternav_fg.catalogs.map_errors import CRATER_FREEDOM, MapErrors
-from craternav_fg.measurements import RimSet
-from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, in_plane_slopes, split
+from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.vision.error_model.correlated import (
+    CorrelatedErrorOptions,
+    in_plane_slopes,
+    map_roots,
+    split,
+)
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
 from craternav_fg.vision.error_model.outline import unseen_deviation
-from craternav_fg.vision.error_model.shape_scatter import scaled_in_frame, shape_variance_factors
+from craternav_fg.vision.error_model.shape_scatter import shape_variance_factors
+from craternav_fg.vision.error_model.steady_roots import with_steady_roots
 from craternav_fg.vision.error_model.systematic import RimErrors
 from factors.kernels.conic import project_rims
 from tests.vision import scene
@@ -244,21 +251,36 @@ def test_errors_with_a_common_scale_are_told_from_the_shape(view):
     assert np.mean(normal) < 1.15
 
 
-def test_what_a_frame_adds_to_the_variances_of_its_rims_is_white() -> None:
-    rng = np.random.default_rng(3)
-    root = rng.standard_normal((2, 5, 29)) * 1e-3
-    correlated, of_map, shared, white = np.split(root, [5, 13, 21], axis=2)
-    rims = RimSet(
-        np.arange(2), rng.standard_normal((2, 5)), root @ np.swapaxes(root, 1, 2),
-        correlated=correlated, of_map=of_map, shared=shared,
-        fused_white=2.0 * white @ np.swapaxes(white, 1, 2),
-    )  # fmt: skip
-    wider = scaled_in_frame(rims, np.array([1.0, 3.0]))
-    for before, after in zip(rims.kept, wider.kept, strict=True):
-        assert before is not None
-        assert after is not None
-        np.testing.assert_array_equal(before, after)
-    own = np.concatenate([correlated, of_map, white], axis=2)
-    excess = np.array([0.0, 2.0])[:, None, None] * own @ np.swapaxes(own, 1, 2)
-    np.testing.assert_allclose(wider.covariance - rims.covariance, excess, atol=1e-12)
-    np.testing.assert_allclose(wider.fused_white_covariance - rims.fused_white_covariance, excess, atol=1e-12)
+def test_errors_of_the_map_have_one_size_in_all_frames(view):
+    """The mean of what its frames show, however large it is in single ones; the rest is white."""
+    gTb, _, camera, catalog = view
+    n, options, rng = len(catalog), CorrelatedErrorOptions(), np.random.default_rng(5)
+    catalog = replace(catalog, errors=MapErrors(0.02 * radius(catalog), np.full(n, 0.01), np.zeros(n)))
+    # One crater is not in every frame, and one is never taken for worse.
+    rows = [np.arange(n), np.arange(1, n), np.arange(n)]
+    factors = [np.where(one == n - 1, 1.0, rng.uniform(1.0, 9.0, len(one))) for one in rows]
+    white, before = 1e-8 * np.eye(5), []
+    for k, (one, factor) in enumerate(zip(rows, factors, strict=True)):
+        roots = map_roots(one, gTb, camera, catalog, options)
+        own = RimSet(
+            one, np.zeros((len(one), 5)), white + roots @ np.swapaxes(roots, 1, 2), of_map=roots,
+            fused_white=np.tile(3.0 * white, (len(one), 1, 1)),
+        )  # fmt: skip
+        before.append(FrameMeasurement(k, own.scaled(factor), None))
+    after = with_steady_roots(before, np.array([gTb] * 3), camera, catalog, options)
+    sums, counts = np.zeros(n), np.zeros(n)
+    for one, factor in zip(rows, factors, strict=True):
+        sums[one] += factor
+        counts[one] += 1
+    for frame, old, factor in zip(after, before, factors, strict=True):
+        rims, mean = frame.rims, (sums / counts)[frame.rims.craters]
+        roots = map_roots(rims.craters, gTb, camera, catalog, options)
+        np.testing.assert_allclose(rims.of_map, np.sqrt(mean)[:, None, None] * roots, rtol=1e-9)
+        part = roots @ np.swapaxes(roots, 1, 2)
+        gained, lost = (np.maximum(d, 0.0)[:, None, None] * part for d in (mean - factor, factor - mean))
+        np.testing.assert_allclose(rims.covariance - old.rims.covariance, gained, atol=1e-12)
+        np.testing.assert_allclose(
+            rims.fused_white_covariance - old.rims.fused_white_covariance, lost, atol=1e-12
+        )
+    exact = replace(catalog, errors=None)
+    assert with_steady_roots(before, np.array([gTb] * 3), camera, exact, options) == tuple(before)

@@ -36,7 +36,7 @@ In one image, for all its rims:
 
 7. Shape. Where the map states errors, `error_model.shape_scatter.shape_variance_factors`, applied by
    `GuidedFrontEnd`, enlarges the variances of rims whose shape contradicts the map: their places are as
-   wrong. What they are larger by is white: the errors that a crater keeps have one size in all frames.
+   wrong.
 
 Over the frames of a descent:
 
@@ -44,19 +44,22 @@ Over the frames of a descent:
    covariances of irregular rims by means over the frames that show the same crater: a weighted mean over
    frames would follow those that happen to claim the smallest covariance.
 
+9. Errors of the map. `error_model.steady_roots.with_steady_roots`, applied by the same, gives those of each
+   crater one size in all frames, after 7 has enlarged them in single ones.
+
 In an estimator:
 
-9. Evaluation at the prediction. `RimSet.expected_at`, applied through
+10. Evaluation at the prediction. `RimSet.expected_at`, applied through
    `estimators.measurement_weighting.with_predicted_covariances`, evaluates the covariance at the rim that the
    pose predicts: taken at the measured one, it gives rims that were measured too large too much weight.
-10. Craters that contradict the others. `estimators.crater_scatter`, applied by the batch smoother, enlarges
+11. Craters that contradict the others. `estimators.crater_scatter`, applied by the batch smoother, enlarges
    the variances of craters whose rims err by more than they state, as in a distribution with heavy tails.
-11. Variables or inflation. `estimators.correlated_errors.RimErrorStates` makes the time-correlated part a
+12. Variables or inflation. `estimators.correlated_errors.RimErrorStates` makes the time-correlated part a
    Gauss-Markov process per crater, the error of the map a constant vector per crater, and the shared part one
    constant vector. Half of the variance of a place on the map changes like the rim's own errors
    (`RimSet.with_changing_place`). Estimators without such variables call `RimSet.inflate_correlated`: these
    parts count as white, with a larger variance.
-12. Factor. `estimators.graph.add_frame` whitens with what is left, `RimSet.fused_white_covariance` or the
+13. Factor. `estimators.graph.add_frame` whitens with what is left, `RimSet.fused_white_covariance` or the
    inflated covariance, in `factors.conic_shape`; its robust loss bounds the influence of wrong matches.
 
 Arcs of rims, of which too little is seen for an ellipse, take the same way with one standard deviation per

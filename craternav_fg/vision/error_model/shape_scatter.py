@@ -6,13 +6,10 @@ two, but hardly the shape. So the variance of a rim's errors, in Student's t dis
 its shape alone, and is larger from the first image on, where three rims support a pose whatever they show.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from craternav_fg.catalogs.map_errors import CRATER_FREEDOM
 from craternav_fg.linalg import squared_distance
-from craternav_fg.measurements import RimSet
 from factors.arrays import FloatArray
 
 # Difference of the growths along both axes, and shear: of the columns of `correlated.in_plane_slopes`.
@@ -48,24 +45,3 @@ def shape_variance_factors(errors: FloatArray, covariance: FloatArray, slopes: F
     deviation = np.einsum("nij,nj->ni", of_shape, errors)
     distance2 = squared_distance(deviation, of_shape @ covariance @ np.swapaxes(of_shape, 1, 2))
     return np.maximum(1.0, (CRATER_FREEDOM + distance2) / (CRATER_FREEDOM + len(_SHAPE)))
-
-
-def scaled_in_frame(rims: RimSet, factors: FloatArray) -> RimSet:
-    """Multiply the variances of rims in this frame alone, but for what all rims share.
-
-    What they are larger by counts as white. What a crater keeps has one size in all frames: a root that is
-    larger in a single one would say that the crater is farther off there.
-
-    Parameters
-    ----------
-    rims : RimSet
-    factors : ndarray, shape (n,)
-        Variance factors, at least 1.
-
-    Returns
-    -------
-    RimSet
-    """
-    covariance = rims.scaled(factors).covariance
-    fused = None if rims.fused_white is None else rims.fused_white + (covariance - rims.covariance)
-    return replace(rims, covariance=covariance, fused_white=fused)
