@@ -15,10 +15,12 @@ import tomli_w
 
 import craternav_fg
 from craternav_fg import frames
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.estimators.base import Descent
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.evaluation.truth_check import doubted_truth
 from craternav_fg.pipeline.result import FILTER, Reconstruction
+from craternav_fg.resection.shifted_group import ShiftedGroup
 from craternav_fg.runs import store
 from craternav_fg.runs.columns import list_column
 from craternav_fg.runs.residuals import residuals_table
@@ -76,6 +78,7 @@ def write_run(
         "initial_state": result.origin,
         "initial_position": result.initial_position,
         "assumed_map_errors": None if result.map_errors is None else asdict(result.map_errors),
+        "shifted_craters": _shifted(result.shifted_group, descent.catalog),
         "reinitialised_at_frames": list(result.reinitialised_at),
         "failures": dict(result.failures),
         "warnings": [*result.warnings, *_doubted_truth(result, truth)],
@@ -93,6 +96,14 @@ def write_run(
     pq.write_table(residuals_table(result), folder / store.RESIDUALS)
     (folder / store.MARKER).write_bytes(_description(dataset, result).encode())
     return summary
+
+
+def _shifted(group: ShiftedGroup | None, catalog: Catalog) -> dict[str, Any] | None:
+    """Craters that were displaced alike, and by how much."""
+    if group is None:
+        return None
+    names = [catalog.identifiers[row] for row in group.rows.tolist()]
+    return {"east_m": group.east_m, "north_m": group.north_m, "craters": names}
 
 
 def _finite_or_none(values: Any) -> Any:

@@ -1,6 +1,7 @@
 """Half of a catalogue that is displaced alike is told from independent errors, and aligned."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.resection import map_variances
 from craternav_fg.resection.map_variances import estimated_errors, place_equations
 from craternav_fg.resection.shifted_group import ShiftedGroup, shifted_group
+from craternav_fg.runs.write import write_run
 from craternav_fg.simulation.scenario import simulate
 from factors.arrays import BoolArray, IntArray
 
@@ -116,7 +118,7 @@ def test_few_craters_tell_nothing(data: Dataset) -> None:
 
 
 @pytest.mark.parametrize("half", ["east", "second"])
-def test_a_descent_over_such_a_catalogue(data: Dataset, half: str) -> None:
+def test_a_descent_over_such_a_catalogue(data: Dataset, tmp_path: Path, half: str) -> None:
     """As it was, the ANEES of the smoother was 3e4 and 100."""
     catalog = moved(data.catalog, 240.0, 180.0, halves(data.catalog)[half], 20.0)
     run = reconstruct(replace(data, catalog=catalog), ["smoother", "ekf"])
@@ -130,6 +132,9 @@ def test_a_descent_over_such_a_catalogue(data: Dataset, half: str) -> None:
         assert one.anees < 15.0, name
         # Half of the shift is in the covariance.
         assert one.position_rms_m < 200.0
+    told = write_run(tmp_path, run, dataset="", truth=None, times_s={}, wall_s=0.0)["shifted_craters"]
+    assert len(told["craters"]) == len(run.shifted_group.rows)
+    assert np.hypot(told["east_m"], told["north_m"]) == pytest.approx(run.shifted_group.shift_m)
 
 
 def test_right_maps_and_stated_shifts_are_left_alone(data: Dataset) -> None:
