@@ -45,6 +45,8 @@ _FIRST_OUTLIER, _OUTLIER = 10.0, 4.0
 # descents on ground of another renderer (`tests/foreign`), sizes that are off by 1 % bring 14 on our own,
 # places by an eighth of a pixel 40.
 _LEAST_GAIN = 5.0
+# Median squared distance of rims from displaced craters above which matches are wrong: 4 where all are right.
+_LARGEST_SQUARE = 20.0
 # Craters whose displacements are asked at most: the cost grows with the third power.
 _MOST_DISPLACED = 400
 # Errors of places, in radii, beyond which it is not the map that is wrong.
@@ -158,7 +160,7 @@ def place_equations(
     Returns
     -------
     PlaceEquations or None
-        None where no image has enough rims.
+        None where no image has enough rims, or the displacements do not explain them.
     """
     images = _Images.of(_of_most_seen(frames, _MOST_DISPLACED), gTb, camera, catalog)
     if not images.rims:
@@ -178,6 +180,7 @@ def place_equations(
     place, X = rims.roots[0] @ turn, rims.slopes
     craters, index = np.unique(rims.craters, return_inverse=True)
     A, b = np.zeros((2 * len(craters), 2 * len(craters))), np.zeros(2 * len(craters))
+    eliminated: list[tuple[slice, FloatArray]] = []
     for first, end in itertools.pairwise([*rims.first.tolist(), len(index)]):
         own = slice(first, end)
         columns = (2 * index[own, None] + np.arange(2)).ravel()
@@ -193,7 +196,14 @@ def place_equations(
         left = rims.residual[own] - X[own] @ (inverse @ np.einsum("nij,ni->j", WX, rims.residual[own]))
         np.add.at(A, (columns[:, None], columns), np.einsum("nij,nik->jk", Z, WZ) - XZ.T @ inverse @ XZ)
         np.add.at(b, columns, np.einsum("nij,ni->j", WZ, left))
-    return PlaceEquations(craters, A, b)
+        eliminated.append((own, inverse))
+    x = np.linalg.lstsq(A, b, rcond=1e-9)[0].reshape(-1, 2)
+    left = rims.residual - np.einsum("nij,nj->ni", place, x[index])
+    for own, inverse in eliminated:
+        left[own] -= X[own] @ (inverse @ np.einsum("nij,nik,nk->j", X[own], W[own], left[own]))
+    squares = np.einsum("ni,nij,nj->n", left, W, left)
+    # Displacements do not explain rims that are matched with other craters in other images.
+    return PlaceEquations(craters, A, b) if np.median(squares) < _LARGEST_SQUARE else None
 
 
 class _Weighted(NamedTuple):

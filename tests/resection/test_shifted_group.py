@@ -54,7 +54,8 @@ def found(data: Dataset, catalog: Catalog) -> tuple[ShiftedGroup | None, IntArra
     gTb[:, :3, 3] += [100.0, -200.0, 50.0]
     errors = estimated_errors(data.measurements, gTb, data.camera, catalog)
     equations = place_equations(data.measurements, gTb, data.camera, catalog, errors)
-    assert equations is not None
+    if equations is None:
+        return None, np.empty(0, np.int64)
     return shifted_group(equations, catalog), equations.craters
 
 
@@ -80,6 +81,18 @@ def test_a_group_is_found(data: Dataset, half: str, shift_m: float, place_m: flo
 def test_independent_errors_are_no_group(data: Dataset, place_m: float) -> None:
     catalog = data.catalog
     assert found(data, moved(catalog, 0.0, 0.0, halves(catalog)["east"], place_m))[0] is None
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
+def test_wrong_matches_are_no_group(data: Dataset, share: float) -> None:
+    assert data.measurements is not None
+    rng = np.random.default_rng(6)
+    frames = []
+    for frame in data.measurements:
+        charts, wrong = frame.rims.chart.copy(), rng.random(len(frame.rims)) < share
+        charts[wrong, :2] = rng.uniform(-0.3, 0.3, size=(np.count_nonzero(wrong), 2))
+        frames.append(replace(frame, rims=replace(frame.rims, chart=charts)))
+    assert found(replace(data, measurements=tuple(frames)), data.catalog)[0] is None
 
 
 def test_a_trend_is_no_group(data: Dataset) -> None:
