@@ -9,7 +9,7 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import NUMERICAL_ERRORS
 from craternav_fg.estimators.instruments import RIMS
 from craternav_fg.pipeline.detected_intrinsics import detected_intrinsics
-from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
+from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens, to_be_averaged
 from craternav_fg.pipeline.map_errors import filtered_poses, with_tilts
 from craternav_fg.pipeline.measuring import Measuring, Prepared, expected_rims
 from craternav_fg.pipeline.relocalisation import Relocaliser
@@ -100,9 +100,11 @@ def with_aligned_group(
     try:
         # Of sizes and heights that are wrong by more than stated, rims would seem to be displaced.
         known = _estimated(prepared, near) if errors is None and given.catalog.errors is not None else errors
-        equations = place_equations(
-            prepared.without_map_errors(), near, descent.camera, descent.catalog, known
-        )
+        frames = prepared.without_map_errors()
+        # Errors that craters keep would seem to be displacements that many frames confirm.
+        alike = to_be_averaged([frame.rims for frame in frames], descent.catalog)
+        frames = tuple(replace(frame, rims=rims) for frame, rims in zip(frames, alike, strict=True))
+        equations = place_equations(frames, near, descent.camera, descent.catalog, known)
         group = None if equations is None else shifted_group(equations, given.catalog)
         if group is None:
             return prepared, errors, None
